@@ -1,0 +1,1 @@
+"""MACs and parameters: exact, and as the paper counts."""

@@ -1,0 +1,1 @@
+"""Stereo pairs: the sample record, files, public data sets, procedural scenes, augmentation."""

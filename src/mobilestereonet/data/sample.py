@@ -1,0 +1,101 @@
+"""The record that every data set gives and every consumer takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.errors import InputError
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Geometry of a rectified pair.
+
+    Depth is ``focal * baseline / (disparity + doffs)``.
+
+    Attributes:
+        focal: Focal length of the rectified cameras, in pixels.
+        baseline: Distance between the camera centres, in metres.
+        doffs: Difference of the principal points, right minus left, in pixels.
+        cx: Column of the left view's principal point, in pixels; None if unknown.
+        cy: Row of the left view's principal point, in pixels; None if unknown.
+    """
+
+    focal: float
+    baseline: float
+    doffs: float = 0.0
+    cx: float | None = None
+    cy: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("focal", "baseline"):
+            value = getattr(self, name)
+            if not 0 < value < float("inf"):
+                raise InputError(f"calibration: {name} must be positive and finite, got {value}")
+
+
+@dataclass(frozen=True)
+class StereoSample:
+    """A rectified pair, with its ground truth where there is one.
+
+    One sample has images of shape (3, H, W) and maps of shape (H, W); a batch has one more
+    dimension in front. Left pixel (x, y) matches right pixel (x - disparity, y).
+
+    Attributes:
+        left: Left view, RGB float32 in 0..1.
+        right: Right view, RGB float32 in 0..1.
+        disparity: Ground truth of the left view, float32 in pixels, 0 where ``valid`` is False.
+        valid: True where the ground truth is known.
+        occluded: True where the left pixel is not visible in the right view.
+        foreground: True on the objects that KITTI 2015 calls foreground.
+        calibration: Geometry of the pair; None in a batch.
+        name: What to call the sample in reports and file names.
+    """
+
+    left: Tensor
+    right: Tensor
+    disparity: Tensor | None = None
+    valid: Tensor | None = None
+    occluded: Tensor | None = None
+    foreground: Tensor | None = None
+    calibration: Calibration | None = None
+    name: str = ""
+
+    def to(self, device: torch.device | str) -> StereoSample:
+        """Copy of the sample whose tensors lie on ``device``."""
+        tensors = {
+            field.name: value.to(device, non_blocking=True)
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), Tensor)
+        }
+        return replace(self, **tensors)
+
+
+def collate(samples: Sequence[StereoSample]) -> StereoSample:
+    """Stack samples of one size into a batch.
+
+    Args:
+        samples: Samples with equal image sizes. A map that one of them lacks is left out.
+
+    Returns:
+        One sample whose tensors have a batch dimension, named after its parts.
+
+    Raises:
+        InputError: If the sizes differ.
+    """
+    sizes = {tuple(sample.left.shape[-2:]) for sample in samples}
+    if len(sizes) != 1:
+        listed = ", ".join(f"{height}x{width}" for height, width in sorted(sizes))
+        raise InputError(
+            f"a batch needs images of one size, got {listed}: crop them or use batch size 1"
+        )
+    stacked: dict[str, Tensor] = {}
+    for field in ("left", "right", "disparity", "valid", "occluded", "foreground"):
+        values = [getattr(sample, field) for sample in samples]
+        if all(value is not None for value in values):
+            stacked[field] = torch.stack(values)
+    return StereoSample(**stacked, name=",".join(sample.name for sample in samples))

@@ -1,0 +1,150 @@
+"""Convolution, v1 and v2 blocks, in 2D and 3D through one code path (the paper's Fig. 2)."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+from torch import Tensor, nn
+
+from mobilestereonet.nets.config import Block
+
+CONV: dict[int, type[nn.Conv2d] | type[nn.Conv3d]] = {2: nn.Conv2d, 3: nn.Conv3d}
+_TRANSPOSED: dict[int, type[nn.ConvTranspose2d] | type[nn.ConvTranspose3d]] = {
+    2: nn.ConvTranspose2d,
+    3: nn.ConvTranspose3d,
+}
+_NORM: dict[int, type[nn.BatchNorm2d] | type[nn.BatchNorm3d]] = {
+    2: nn.BatchNorm2d,
+    3: nn.BatchNorm3d,
+}
+
+
+def conv_norm(
+    dims: int,
+    inputs: int,
+    outputs: int,
+    *,
+    kernel: int = 3,
+    stride: int = 1,
+    dilation: int = 1,
+    groups: int = 1,
+    activation: type[nn.ReLU] | type[nn.ReLU6] | None = nn.ReLU,
+) -> nn.Sequential:
+    """Convolution without bias, batch norm and, unless None, an activation.
+
+    The padding keeps the size at stride 1. Takes and gives (B, C, H, W) or (B, C, D, H, W).
+    """
+    layers: list[nn.Module] = [
+        CONV[dims](
+            inputs,
+            outputs,
+            kernel,
+            stride=stride,
+            padding=dilation * (kernel // 2),
+            dilation=dilation,
+            groups=groups,
+            bias=False,
+        ),
+        _NORM[dims](outputs),
+    ]
+    if activation is not None:
+        layers.append(activation(inplace=True))
+    return nn.Sequential(*layers)
+
+
+def transposed_norm(dims: int, inputs: int, outputs: int) -> nn.Sequential:
+    """3x3(x3) transposed convolution of stride 2 without bias, and batch norm: doubles the size."""
+    return nn.Sequential(
+        _TRANSPOSED[dims](inputs, outputs, 3, stride=2, padding=1, output_padding=1, bias=False),
+        _NORM[dims](outputs),
+    )
+
+
+def v1_block(
+    dims: int,
+    inputs: int,
+    outputs: int,
+    *,
+    stride: int = 1,
+    dilation: int = 1,
+    last_activation: bool = True,
+) -> nn.Sequential:
+    """MobileNet-V1 block: depthwise 3x3(x3), then pointwise, each with batch norm and ReLU6."""
+    depthwise = conv_norm(
+        dims, inputs, inputs, stride=stride, dilation=dilation, groups=inputs, activation=nn.ReLU6
+    )
+    pointwise = conv_norm(
+        dims, inputs, outputs, kernel=1, activation=nn.ReLU6 if last_activation else None
+    )
+    return nn.Sequential(*depthwise, *pointwise)
+
+
+class V2Block(nn.Module):
+    """MobileNet-V2 block: expand by ``expansion``, depthwise 3x3(x3), project linearly.
+
+    Adds its input when ``skip`` is set, the stride is 1 and the channels stay the same.
+    """
+
+    def __init__(
+        self,
+        dims: int,
+        inputs: int,
+        outputs: int,
+        *,
+        expansion: int,
+        stride: int = 1,
+        dilation: int = 1,
+        skip: bool = True,
+    ) -> None:
+        super().__init__()
+        hidden = expansion * inputs
+        self.skip = skip and stride == 1 and inputs == outputs
+        self.conv = nn.Sequential(
+            *conv_norm(dims, inputs, hidden, kernel=1, activation=nn.ReLU6),
+            *conv_norm(
+                dims,
+                hidden,
+                hidden,
+                stride=stride,
+                dilation=dilation,
+                groups=hidden,
+                activation=nn.ReLU6,
+            ),
+            *conv_norm(dims, hidden, outputs, kernel=1, activation=None),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, ...) -> (B, outputs, ...), spatial sizes divided by the stride."""
+        y = cast(Tensor, self.conv(x))
+        return x + y if self.skip else y
+
+
+def hourglass_block(
+    kind: Block,
+    dims: int,
+    inputs: int,
+    outputs: int,
+    *,
+    stride: int = 1,
+    expansion: int,
+    skip: bool,
+) -> nn.Module:
+    """One of an hourglass's four convolutions: "conv" with batch norm and ReLU, "v1" or "v2"."""
+    if kind == "v1":
+        return v1_block(dims, inputs, outputs, stride=stride)
+    if kind == "v2":
+        return V2Block(dims, inputs, outputs, expansion=expansion, stride=stride, skip=skip)
+    return conv_norm(dims, inputs, outputs, stride=stride)
+
+
+def initialise(network: nn.Module) -> None:
+    """Set fresh weights as the authors do.
+
+    Convolutions start from a normal of standard deviation sqrt(2 / (kernel volume x out
+    channels)); transposed convolutions, biases and norms keep PyTorch's defaults.
+    """
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.Conv3d):
+            fan_out = math.prod(module.kernel_size) * module.out_channels
+            nn.init.normal_(module.weight, 0.0, math.sqrt(2.0 / fan_out))

@@ -1,0 +1,126 @@
+"""A network as data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from mobilestereonet.errors import InputError
+
+Block = Literal["conv", "v1", "v2"]
+CostVolume = Literal[
+    "interlaced-1",
+    "interlaced-2",
+    "interlaced-4",
+    "interlaced-8",
+    "interlaced-16",
+    "correlation",
+    "concatenation",
+    "groupwise",
+]
+
+FEATURE_CHANNELS = 320
+"""Channels of the feature extraction: stages 2, 3 and 4 concatenated (64 + 128 + 128)."""
+
+REDUCED_CHANNELS = 32
+"""Channels per view after the channel reduction of the 2D networks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetConfig:
+    """One row of the paper's tables. Every field means the same in 2D and 3D.
+
+    Attributes:
+        dims: 2 or 3, the dimensions of the encoder-decoder's convolutions.
+        first_conv: The three first convolutions: 3x3 convolutions ("conv") or v2 blocks ("v2").
+        features: The residual stages: standard convolutions, v1 blocks in place of each 3x3
+            convolution, or one v2 block in place of each residual block.
+        channel_reduction: 1x1 convolutions from 320 to 32 channels per view before the volume.
+        cost_volume: "interlaced-i" (i channels of each view per kernel), "correlation",
+            "concatenation" or "groupwise" (correlation in groups).
+        groups: Groups of the group-wise correlation; other volumes ignore it.
+        pre_hourglass: Blocks before the hourglasses, "conv" or "v2".
+        hourglass: Blocks of the hourglasses, "conv", "v1" or "v2".
+        hourglasses: Number of stacked hourglasses, at least 1.
+        width: Channels of the pre-hourglass and of the hourglasses at their full resolution.
+        first_expansion: Expansion factor t of v2 blocks in the first convolutions.
+        features_expansion: Expansion factor of v2 blocks in the residual stages.
+        pre_expansion: Expansion factor of v2 blocks in the pre-hourglass.
+        hourglass_expansion: Expansion factor of v2 blocks in the hourglasses.
+        max_disparity: Disparities 0 .. max_disparity - 1 are searched; a multiple of 16 in 32..512.
+        v2_skip: v2 blocks of the pre-hourglass and the hourglasses add their input where shapes
+            allow it. The paper describes it; the authors' released 3D weights do without.
+            (Those of the features always add it, in both of the authors' networks.)
+        v2_relu: A ReLU after each v2 block of the first convolutions and of the pre-hourglass
+            (but its last), as in the authors' 2D network.
+    """
+
+    dims: Literal[2, 3]
+    first_conv: Literal["conv", "v2"] = "v2"
+    features: Block = "v1"
+    channel_reduction: bool = True
+    cost_volume: CostVolume = "interlaced-4"
+    groups: int = 40
+    pre_hourglass: Literal["conv", "v2"] = "v2"
+    hourglass: Block = "v2"
+    hourglasses: int = 3
+    width: int = 48
+    first_expansion: int = 3
+    features_expansion: int = 2
+    pre_expansion: int = 3
+    hourglass_expansion: int = 2
+    max_disparity: int = 192
+    v2_skip: bool = True
+    v2_relu: bool = True
+
+    def __post_init__(self) -> None:
+        choices: dict[str, tuple[object, ...]] = {
+            "dims": (2, 3),
+            "first_conv": ("conv", "v2"),
+            "features": get_args(Block),
+            "cost_volume": get_args(CostVolume),
+            "pre_hourglass": ("conv", "v2"),
+            "hourglass": get_args(Block),
+        }
+        for name, allowed in choices.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                listed = ", ".join(map(str, allowed))
+                raise InputError(f"{name} must be one of {listed}, got {value!r}")
+        positive = ("groups", "hourglasses", "width", "first_expansion", "features_expansion")
+        for name in (*positive, "pre_expansion", "hourglass_expansion"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.max_disparity % 16 or not 32 <= self.max_disparity <= 512:
+            raise InputError(
+                f"max_disparity must be a multiple of 16 in 32..512, got {self.max_disparity}"
+            )
+        if self.cost_volume == "groupwise" and self.volume_input % self.groups:
+            raise InputError(
+                f"groups must divide the {self.volume_input} channels of a view, got {self.groups}"
+            )
+        if self.learns_volume and not self.channel_reduction:
+            raise InputError(
+                f"cost volume {self.cost_volume} takes {REDUCED_CHANNELS} channels per view: "
+                "set channel_reduction=True"
+            )
+
+    @property
+    def planes(self) -> int:
+        """Disparities of the cost volume, at a quarter of the resolution."""
+        return self.max_disparity // 4
+
+    @property
+    def learns_volume(self) -> bool:
+        """Whether the cost volume has weights: interlaced and concatenation."""
+        return self.cost_volume not in ("correlation", "groupwise")
+
+    @property
+    def volume_input(self) -> int:
+        """Channels per view that enter the cost volume."""
+        return REDUCED_CHANNELS if self.channel_reduction else FEATURE_CHANNELS
+
+    @property
+    def volume_channels(self) -> int:
+        """Channels of the cost volume per disparity."""
+        return self.groups if self.cost_volume == "groupwise" else 1

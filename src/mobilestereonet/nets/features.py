@@ -1,0 +1,104 @@
+"""Feature extraction, shared by both views, and the channel reduction of the 2D networks."""
+
+from __future__ import annotations
+
+import itertools
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from mobilestereonet.nets.blocks import V2Block, conv_norm, v1_block
+from mobilestereonet.nets.config import FEATURE_CHANNELS, REDUCED_CHANNELS, Block, NetConfig
+
+
+def _first_convolutions(config: NetConfig) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for inputs, stride in ((3, 2), (32, 1), (32, 1)):
+        if config.first_conv == "conv":
+            layers.append(conv_norm(2, inputs, 32, stride=stride))
+            continue
+        block = V2Block(2, inputs, 32, expansion=config.first_expansion, stride=stride)
+        layers.append(nn.Sequential(block, nn.ReLU()) if config.v2_relu else nn.Sequential(block))
+    return nn.Sequential(*layers)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions, or v1 blocks, with a skip and no activation after the sum."""
+
+    def __init__(
+        self, kind: Block, inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1
+    ) -> None:
+        super().__init__()
+        if kind == "v1":
+            self.conv1 = v1_block(2, inputs, outputs, stride=stride, dilation=dilation)
+            self.conv2 = v1_block(2, outputs, outputs, dilation=dilation, last_activation=False)
+        else:
+            self.conv1 = conv_norm(2, inputs, outputs, stride=stride, dilation=dilation)
+            self.conv2 = conv_norm(2, outputs, outputs, dilation=dilation, activation=None)
+        self.downsample: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.downsample = conv_norm(
+                2, inputs, outputs, kernel=1, stride=stride, activation=None
+            )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
+        return cast(Tensor, self.conv2(self.conv1(x)) + self.downsample(x))
+
+
+def _stage(
+    config: NetConfig, inputs: int, outputs: int, blocks: int, *, stride: int = 1, dilation: int = 1
+) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for index in range(blocks):
+        first = index == 0
+        channels, step = (inputs, stride) if first else (outputs, 1)
+        if config.features == "v2":
+            layers.append(
+                V2Block(
+                    2,
+                    channels,
+                    outputs,
+                    expansion=config.features_expansion,
+                    stride=step,
+                    dilation=dilation,
+                )
+            )
+        else:
+            layers.append(
+                ResidualBlock(config.features, channels, outputs, stride=step, dilation=dilation)
+            )
+    return nn.Sequential(*layers)
+
+
+class FeatureExtraction(nn.Module):
+    """Three first convolutions and four residual stages.
+
+    (B, 3, H, W) -> (B, 320, H / 4, W / 4): stages 2, 3 and 4 concatenated.
+    """
+
+    def __init__(self, config: NetConfig) -> None:
+        super().__init__()
+        self.first = _first_convolutions(config)
+        self.stage1 = _stage(config, 32, 32, blocks=3)
+        self.stage2 = _stage(config, 32, 64, blocks=16, stride=2)
+        self.stage3 = _stage(config, 64, 128, blocks=3)
+        self.stage4 = _stage(config, 128, 128, blocks=3, dilation=2)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """(B, 3, H, W), H and W multiples of 4 -> (B, 320, H / 4, W / 4)."""
+        stage2 = self.stage2(self.stage1(self.first(image)))
+        stage3 = self.stage3(stage2)
+        stage4 = self.stage4(stage3)
+        return torch.cat((stage2, stage3, stage4), dim=1)
+
+
+def channel_reduction() -> nn.Sequential:
+    """1x1 convolutions 320, 256, 128, 64 with batch norm and ReLU, then 64 -> 32 with bias."""
+    channels = (FEATURE_CHANNELS, 256, 128, 64)
+    layers: list[nn.Module] = [
+        conv_norm(2, inputs, outputs, kernel=1)
+        for inputs, outputs in itertools.pairwise(channels)
+    ]
+    return nn.Sequential(*layers, nn.Conv2d(64, REDUCED_CHANNELS, 1))

@@ -1,0 +1,96 @@
+"""The assembly of every network in the paper."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.blocks import initialise
+from mobilestereonet.nets.config import NetConfig
+from mobilestereonet.nets.cost_volumes import build_cost_volume
+from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets.features import FeatureExtraction, channel_reduction
+from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
+
+SIZE_MULTIPLE = 16
+"""Height and width of an input are multiples of this."""
+
+
+class StereoNet(nn.Module):
+    """Stereo matching network (the paper's Fig. 4), assembled from a config.
+
+    Both views go through the features in one batch, and all disparities through the cost volume
+    in one: in training, batch norm statistics are taken once, over both views and all
+    disparities, without the columns left of each disparity. In eval mode the result is that of
+    the authors' code, which loops.
+    """
+
+    def __init__(self, config: NetConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.features = FeatureExtraction(config)
+        self.reduction = channel_reduction() if config.channel_reduction else nn.Identity()
+        self.volume = build_cost_volume(config)
+        inputs = config.volume_channels * (config.planes if config.dims == 2 else 1)
+        self.pre_hourglass = PreHourglass(config, inputs)
+        self.hourglasses = nn.ModuleList(Hourglass(config) for _ in range(config.hourglasses))
+        self.heads = nn.ModuleList(Head(config) for _ in range(config.hourglasses + 1))
+        initialise(self)
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor | list[Tensor]:
+        """Disparity of the left view.
+
+        Args:
+            left: Left views (B, 3, H, W), RGB in 0..1, normalised by ImageNet's mean and standard
+                deviation; H and W are multiples of 16.
+            right: Right views, likewise.
+
+        Returns:
+            Disparity (B, H, W) in pixels in eval mode; in training mode a list of one disparity
+            per head, first to last.
+
+        Raises:
+            InputError: If the shapes differ or are not multiples of 16.
+        """
+        scores = self.scores(left, right)
+        if self.training:
+            return [regress_disparity(score) for score in scores]
+        return regress_disparity(scores[-1])
+
+    def scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
+        """Matching scores before the upsampling.
+
+        Returns:
+            One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
+        """
+        self._check(left, right)
+        views = self.reduction(self.features(torch.cat((left, right))))
+        volume = self.volume(*views.chunk(2))
+        if self.config.dims == 2:
+            volume = volume.flatten(1, 2)
+        x = self.pre_hourglass(volume)
+        stages = [x]
+        for hourglass in self.hourglasses:
+            x = hourglass(x)
+            stages.append(x)
+        first = 0 if self.training else len(stages) - 1
+        return [
+            cast(Tensor, head(stage))
+            for head, stage in zip(self.heads[first:], stages[first:], strict=True)
+        ]
+
+    def _check(self, left: Tensor, right: Tensor) -> None:
+        if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
+            raise InputError(
+                "left and right must both be (B, 3, H, W), "
+                f"got {tuple(left.shape)} and {tuple(right.shape)}"
+            )
+        height, width = left.shape[-2:]
+        if height % SIZE_MULTIPLE or width % SIZE_MULTIPLE:
+            raise InputError(
+                f"height and width must be multiples of {SIZE_MULTIPLE}, got {height} x {width}: "
+                "pad the pair (StereoMatcher does)"
+            )

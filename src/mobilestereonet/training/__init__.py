@@ -1,0 +1,1 @@
+"""Training: losses, recipes as data, the Lightning module."""
