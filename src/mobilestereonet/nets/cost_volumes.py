@@ -9,7 +9,8 @@ them once per disparity).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -29,11 +30,80 @@ _KERNEL_DEPTHS: dict[CostVolume, tuple[int, int, int]] = {
 """Depths of the three kernels, each also its stride. Only the first ones are the paper's."""
 
 
-def _stack_planes(plane: Callable[[int], Tensor], planes: int, width: int, dim: int) -> Tensor:
-    """Stack plane(i), whose columns i .. width - 1 are given, with zero columns on the left."""
-    cropped = [F.pad(plane(i), (i, 0)) for i in range(min(planes, width))]
-    empty = torch.zeros_like(cropped[0])
-    return torch.stack(cropped + [empty] * (planes - len(cropped)), dim=dim)
+def _pad_left(parts: Sequence[Tensor], planes: int, dim: int) -> Tensor:
+    """Stack parts of width W, W - 1 ... as planes of width W, zero on the left; absent ones too."""
+    width = parts[0].shape[-1]
+    padded = [F.pad(part, (width - part.shape[-1], 0)) for part in parts]
+    padded += [torch.zeros_like(padded[0])] * (planes - len(parts))
+    return torch.stack(padded, dim=dim)
+
+
+def _widths(planes: int, width: int) -> list[int]:
+    return [width - i for i in range(min(planes, width))]
+
+
+class _Pack(torch.autograd.Function):
+    """(B, D, ..., W) -> (B, ..., P): the columns x >= i of every plane i, side by side."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.planes, width = x.shape[1], x.shape[-1]
+        ctx.width = width
+        return torch.cat([x[:, i, ..., i:] for i in range(min(ctx.planes, width))], dim=-1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+        return _pad_left(grads[0].split(_widths(ctx.planes, ctx.width), -1), ctx.planes, dim=1)
+
+
+class _Unpack(torch.autograd.Function):
+    """(B, ..., P) -> (B, D, ..., W): the inverse of `_Pack`, zero elsewhere."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, planes: int, width: int) -> Tensor:
+        return _pad_left(x.split(_widths(planes, width), -1), planes, dim=1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        return _Pack.forward(ctx, grads[0]), None, None
+
+
+class _ShiftedSums(torch.autograd.Function):
+    """The packed planes of `_shifted_sum`, spared the slow backward pass of their slices."""
+
+    @staticmethod
+    def forward(ctx: Any, planes: int, *shares: Tensor) -> Tensor:
+        ctx.widths = _widths(planes, shares[0].shape[-1])
+        return torch.cat([_shifted_sum(i, *shares) for i in range(len(ctx.widths))], dim=-1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        first, *others = grads[0].split(ctx.widths, dim=-1)
+        ours, theirs = first.float(), first.float()
+        ours_first, theirs_last = torch.zeros_like(ours), torch.zeros_like(ours)
+        for i, grad in enumerate(others, start=1):
+            end = grad.shape[-1]
+            ours[..., i + 1 :] += grad[..., 1:]
+            ours_first[..., i] += grad[..., 0]
+            theirs[..., : end - 1] += grad[..., :-1]
+            theirs_last[..., end - 1] += grad[..., -1]
+        dtype = grads[0].dtype
+        return None, *(total.to(dtype) for total in (ours, ours_first, theirs, theirs_last))
+
+
+def _shifted_sum(
+    i: int, ours: Tensor, ours_first: Tensor, theirs: Tensor, theirs_last: Tensor
+) -> Tensor:
+    """Columns i .. W - 1 of plane i: left shares plus right shares from i columns before.
+
+    The crop's first left column and last right column come from tensors of their own.
+    """
+    if i == 0:
+        return ours + theirs
+    end = ours.shape[-1] - i
+    left = torch.cat((ours_first[..., i : i + 1], ours[..., i + 1 :]), dim=-1)
+    right = torch.cat((theirs[..., : end - 1], theirs_last[..., end - 1 : end]), dim=-1)
+    return left + right
 
 
 class Correlation(nn.Module):
@@ -47,12 +117,11 @@ class Correlation(nn.Module):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, C, H, W) twice -> (B, groups, D, H, W)."""
         width = left.shape[-1]
-
-        def plane(i: int) -> Tensor:
-            products = left[..., i:] * right[..., : width - i]
-            return products.unflatten(1, (self.groups, -1)).mean(dim=2)
-
-        return _stack_planes(plane, self.planes, width, dim=2)
+        parts = [
+            (left[..., i:] * right[..., : width - i]).unflatten(1, (self.groups, -1)).mean(dim=2)
+            for i in range(min(self.planes, width))
+        ]
+        return _pad_left(parts, self.planes, dim=2)
 
 
 class LearnedVolume(nn.Module):
@@ -83,69 +152,62 @@ class LearnedVolume(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, 32, H, W) twice -> (B, 1, D, H, W)."""
-        batch, _, _, width = left.shape
-        x = self._activate(self.norm[0], self._first(left, right), width)
-        for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
-            x = self._activate(norm, conv(x), width)
-        x = self._activate(self.squeeze[1], self.squeeze[0](x.squeeze(2)), width)
-        return x.unflatten(0, (batch, self.planes)).transpose(1, 2)
-
-    def _first(self, left: Tensor, right: Tensor) -> Tensor:
-        """First convolution of every plane: (B, 32, H, W) twice -> (B D, 16, depth, H, W)."""
-        conv = self.conv[0]
+        shares = self._first_shares(left, right)
+        if self.training:
+            return self._train(shares)
         width = left.shape[-1]
+        parts = [_shifted_sum(i, *shares) for i in range(min(self.planes, width))]
+        x = _pad_left(parts, self.planes, dim=1).flatten(0, 1)
+        column = torch.arange(width, device=x.device)
+        plane = torch.arange(self.planes, device=x.device)
+        mask = (column >= plane[:, None]).to(x.dtype).repeat(len(left), 1)
+        mask = mask[:, None, None, None]  # (B D, 1, 1, 1, W)
+        x = F.relu(self.norm[0](x)) * mask
+        for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
+            x = F.relu(norm(conv(x))) * mask
+        x = self.squeeze(x.squeeze(2)) * mask.squeeze(2)
+        return x.unflatten(0, (-1, self.planes)).transpose(1, 2)
+
+    def _train(self, shares: Sequence[Tensor]) -> Tensor:
+        """The same on packed columns, so that batch norms see only columns with a partner."""
+        width = shares[0].shape[-1]
+        packed = F.relu(self.norm[0](_ShiftedSums.apply(self.planes, *shares)))
+        for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
+            planes = _Unpack.apply(packed, self.planes, width)
+            x = conv(planes.flatten(0, 1)).unflatten(0, (-1, self.planes))
+            packed = F.relu(norm(_Pack.apply(x)))
+        packed = self.squeeze(packed.squeeze(2))
+        unpacked: Tensor = _Unpack.apply(packed, self.planes, width)
+        return unpacked.transpose(1, 2)
+
+    def _first_shares(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Each view's share of the first convolution, for `_shifted_sum`: (B, 16, depth, H, W)."""
+        conv = self.conv[0]
         weight = conv.weight.squeeze(1)  # (16, k, 3, 3)
         depth = 2 * REDUCED_CHANNELS // weight.shape[1]
         # One row of output depth per group of k input channels: a block-diagonal kernel.
         groups = torch.eye(depth, dtype=weight.dtype, device=weight.device)
-        full = groups[:, None, :, None, None, None] * weight[None, :, None]
-        full = full.flatten(2, 3)  # (depth, 16, 64, 3, 3)
+        kernel = groups[:, None, :, None, None, None] * weight[None, :, None]
+        kernel = kernel.flatten(2, 3).flatten(0, 1)  # (depth 16, 64, 3, 3)
         if self.interlaced:
-            weights = full[:, :, 0::2], full[:, :, 1::2]
+            ours, theirs = kernel[:, 0::2], kernel[:, 1::2]
         else:
-            weights = full.split(REDUCED_CHANNELS, dim=2)
+            ours, theirs = kernel.split(REDUCED_CHANNELS, dim=1)
 
-        def share(view: Tensor, weight: Tensor, columns: slice, bias: Tensor | None) -> Tensor:
-            kernel = weight.flatten(0, 1)[..., columns]
-            outer = (int(columns.start is None), int(columns.stop is None))
-            y = F.conv2d(F.pad(view, (*outer, 1, 1)), kernel, bias)
-            return y.unflatten(1, (depth, -1)).transpose(1, 2)  # (B, 16, depth, H, W)
+        def share(
+            view: Tensor, kernel: Tensor, bias: Tensor | None, pad: tuple[int, int]
+        ) -> Tensor:
+            y = F.conv2d(F.pad(view, (*pad, 1, 1)), kernel, bias)
+            y = y.unflatten(1, (depth, -1)).transpose(1, 2)
+            return y.contiguous(memory_format=torch.channels_last_3d)
 
-        every, no_first, no_last = slice(None), slice(1, None), slice(None, 2)
         bias = conv.bias.repeat(depth)
-        ours = share(left, weights[0], every, bias)
-        ours_first = share(left, weights[0], no_first, bias)
-        theirs = share(right, weights[1], every, None)
-        theirs_last = share(right, weights[1], no_last, None)
-
-        def plane(i: int) -> Tensor:
-            if i == 0:
-                return ours + theirs
-            end = width - i
-            columns = torch.cat((ours_first[..., i : i + 1], ours[..., i + 1 :]), dim=-1)
-            partners = torch.cat((theirs[..., : end - 1], theirs_last[..., end - 1 : end]), dim=-1)
-            return columns + partners
-
-        return _stack_planes(plane, self.planes, width, dim=1).flatten(0, 1)
-
-    def _activate(self, norm: nn.Module, x: Tensor, width: int) -> Tensor:
-        """Batch norm and ReLU on the columns that have a partner, zero elsewhere.
-
-        (B D, C, ..., H, W) -> the same shape.
-        """
-        if not norm.training:
-            column = torch.arange(width, device=x.device)
-            plane = torch.arange(self.planes, device=x.device)
-            mask = (column >= plane[:, None]).to(x.dtype)
-            shape = (self.planes, *[1] * (x.dim() - 2), width)
-            y = F.relu(norm(x)).unflatten(0, (-1, self.planes))
-            return (y * mask.view(shape)).flatten(0, 1)
-        # The columns with a partner are packed side by side, so that an ordinary batch norm
-        # (synchronised or not) takes its statistics from them alone.
-        planes = x.unflatten(0, (-1, self.planes)).unbind(1)
-        packed = torch.cat([plane[..., i:] for i, plane in enumerate(planes[:width])], dim=-1)
-        parts = F.relu(norm(packed)).split([width - i for i in range(min(self.planes, width))], -1)
-        return _stack_planes(lambda i: parts[i], self.planes, width, dim=1).flatten(0, 1)
+        return (
+            share(left, ours, bias, (1, 1)),
+            share(left, ours[..., 1:], bias, (0, 1)),
+            share(right, theirs, None, (1, 1)),
+            share(right, theirs[..., :2], None, (1, 0)),
+        )
 
 
 def build_cost_volume(config: NetConfig) -> Correlation | LearnedVolume:

@@ -98,7 +98,6 @@ def channel_reduction() -> nn.Sequential:
     """1x1 convolutions 320, 256, 128, 64 with batch norm and ReLU, then 64 -> 32 with bias."""
     channels = (FEATURE_CHANNELS, 256, 128, 64)
     layers: list[nn.Module] = [
-        conv_norm(2, inputs, outputs, kernel=1)
-        for inputs, outputs in itertools.pairwise(channels)
+        conv_norm(2, inputs, outputs, kernel=1) for inputs, outputs in itertools.pairwise(channels)
     ]
     return nn.Sequential(*layers, nn.Conv2d(64, REDUCED_CHANNELS, 1))

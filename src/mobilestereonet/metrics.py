@@ -1,0 +1,261 @@
+"""EPE, px-n and D1 as sums: batch size, order and number of ranks do not matter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+from torchmetrics import Metric
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.errors import InputError
+
+MASKS = ("all", "noc", "occ", "fg", "bg")
+
+
+@dataclass
+class MaskScores:
+    """Figures over one mask.
+
+    Attributes:
+        per_image: Mean over the images of each image's own mean (the paper's figure): ``epe`` in
+            px, ``d1`` and ``px-n`` in percent. None where no image has a pixel to score.
+        per_pixel: The same figures as means over all pixels of all images.
+        images: Images that were scored.
+        empty: Images without a pixel to score; they are in no mean.
+        skipped: Images that ``min_share`` left out; they are in no mean.
+        pixels: Pixels that were scored.
+    """
+
+    per_image: dict[str, float | None]
+    per_pixel: dict[str, float | None]
+    images: int
+    empty: int
+    skipped: int
+    pixels: int
+
+
+@dataclass
+class StereoScores:
+    """What `StereoMetrics` computes; prints itself as a table.
+
+    Attributes:
+        max_disparity: Pixels count whose ground truth lies in ``0 < d < max_disparity``, in px.
+        min_share: See `StereoMetrics`.
+        masks: The figures of each mask that the data has; ``all`` is always there.
+    """
+
+    # Not frozen: torchmetrics copies what `compute` returns field by field.
+
+    max_disparity: float
+    min_share: float
+    masks: dict[str, MaskScores]
+
+    def figures(self, prefix: str = "") -> dict[str, float]:
+        """Per-image means for a logger: ``epe``, ``d1``, ... and ``noc/epe``, ... by name.
+
+        Args:
+            prefix: Put before each name, such as ``val/``.
+
+        Returns:
+            The figures of every mask that has a pixel; those of ``all`` carry no mask's name.
+        """
+        return {
+            f"{prefix}{'' if mask == 'all' else mask + '/'}{figure}": value
+            for mask, scores in self.masks.items()
+            for figure, value in scores.per_image.items()
+            if value is not None
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record as plain dicts, ready for JSON (an endless range becomes None)."""
+        record = asdict(self)
+        if math.isinf(self.max_disparity):
+            record["max_disparity"] = None
+        return record
+
+    def protocol(self) -> str:
+        """One sentence on what was scored, and how it was averaged."""
+        text = (
+            f"Pixels with ground truth 0 < d < {self.max_disparity:g}. Per image: mean over the "
+            "images of each image's mean (the paper's). Per pixel: mean over all pixels. "
+            "Empty: images without such a pixel."
+        )
+        if self.min_share > 0:
+            text += (
+                f" Skipped: images where fewer than {100 * self.min_share:g} % of the pixels "
+                "with ground truth are in that range."
+            )
+        return text
+
+    def table(self, title: str | None = None) -> Table:
+        """The figures as a table of `rich`, one row per mask and figure."""
+        table = Table(title=title, caption=self.protocol(), caption_justify="left")
+        table.add_column("mask")
+        table.add_column("figure")
+        for name in ("per image", "per pixel", "images", "empty", "skipped", "pixels"):
+            table.add_column(name, justify="right")
+        for mask, scores in self.masks.items():
+            counts = [scores.images, scores.empty, scores.skipped, scores.pixels]
+            head, tail = mask, [f"{count:,}" for count in counts]
+            for figure, value in scores.per_image.items():
+                pair = (value, scores.per_pixel[figure])
+                cells = ["-" if mean is None else f"{mean:.3f}" for mean in pair]
+                table.add_row(head, _label(figure), *cells, *tail)
+                head, tail = "", []
+            table.add_section()
+        return table
+
+    def __rich__(self) -> Table:
+        return self.table()
+
+    def __str__(self) -> str:
+        console = Console(width=100)
+        with console.capture() as capture:
+            console.print(self.table())
+        return capture.get().rstrip()
+
+
+class StereoMetrics(Metric):
+    """EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
+
+    EPE is the mean absolute disparity error in px; px-n the share of the pixels whose error is
+    above n px; D1 the share whose error is above 3 px and above 5 % of the ground truth; shares
+    are in percent. The masks noc and occ need ``occluded``, fg and bg need ``foreground``; an
+    image without that map is not counted in them. This is the paper's protocol where
+    ``per_image`` is read; ``min_share=0.1`` adds the rule of the authors' release.
+
+    All states are sums over images, so they add up over batches and ranks.
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    higher_is_better = False
+
+    image_sums: Tensor
+    pixel_sums: Tensor
+    images: Tensor
+    empty: Tensor
+    skipped: Tensor
+    pixels: Tensor
+
+    def __init__(
+        self,
+        max_disparity: float = 192.0,
+        thresholds: Sequence[float] = (1, 2, 3),
+        min_share: float = 0.0,
+        **kwargs: Any,
+    ) -> None:
+        """Start from zero.
+
+        Args:
+            max_disparity: Ground truth in ``0 < d < max_disparity`` is scored, in px; ``inf``
+                scores all of it.
+            thresholds: The n of px-n, in px.
+            min_share: Skip and count an image where less than this share of the pixels with
+                ground truth is in that range (the authors' release: 0.1).
+            **kwargs: For `torchmetrics.Metric`.
+
+        Raises:
+            InputError: If a value is out of its range.
+        """
+        super().__init__(**kwargs)
+        if not max_disparity > 0:
+            raise InputError(f"max_disparity must be positive, got {max_disparity}")
+        if not 0 <= min_share <= 1:
+            raise InputError(f"min_share must lie in 0..1, got {min_share}")
+        if any(not threshold >= 0 for threshold in thresholds):
+            raise InputError(f"thresholds must not be negative, got {tuple(thresholds)}")
+        self.max_disparity = float(max_disparity)
+        self.min_share = float(min_share)
+        self.thresholds = tuple(thresholds)
+        self.names = ("epe", "d1", *(f"px-{threshold:g}" for threshold in self.thresholds))
+        for state in ("image_sums", "pixel_sums"):
+            zeros = torch.zeros(len(MASKS), len(self.names), dtype=torch.float64)
+            self.add_state(state, zeros, dist_reduce_fx="sum")
+        for state in ("images", "empty", "skipped", "pixels"):
+            zeros = torch.zeros(len(MASKS), dtype=torch.int64)
+            self.add_state(state, zeros, dist_reduce_fx="sum")
+
+    def update(self, prediction: Tensor, batch: StereoSample) -> None:
+        """Add a batch.
+
+        Args:
+            prediction: Disparity in px, (B, H, W). A value that is not finite is an outlier.
+            batch: The samples with ground truth, (B, H, W) maps.
+
+        Raises:
+            InputError: If there is no ground truth or the shapes differ.
+        """
+        if batch.disparity is None or batch.valid is None:
+            raise InputError(f"{batch.name or 'this sample'} has no ground truth to score against")
+        if prediction.ndim != 3 or prediction.shape != batch.disparity.shape:
+            raise InputError(
+                f"{batch.name or 'prediction'}: a (B, H, W) prediction must have its ground "
+                f"truth's shape, got {tuple(prediction.shape)} and {tuple(batch.disparity.shape)}"
+            )
+        truth = batch.disparity.float()
+        figures = self._pixel_figures(prediction.float(), truth)
+        scored = batch.valid & (truth > 0) & (truth < self.max_disparity)
+        known = batch.valid.sum((1, 2))
+        skipped = scored.sum((1, 2)) < self.min_share * known
+        for index, mask in _masks(scored, batch):
+            pixels = torch.where(skipped, 0, mask.sum((1, 2)))
+            sums = torch.stack([_masked_sum(figure, mask) for figure in figures], dim=1)
+            counted = pixels > 0
+            self.image_sums[index] += (sums[counted] / pixels[counted, None]).sum(0)
+            self.pixel_sums[index] += sums[counted].sum(0)
+            self.images[index] += counted.sum()
+            self.empty[index] += (~counted & ~skipped).sum()
+            self.skipped[index] += skipped.sum()
+            self.pixels[index] += pixels.sum()
+
+    def compute(self) -> StereoScores:
+        """The figures of all that was added, over all ranks."""
+        masks = {}
+        for index, name in enumerate(MASKS):
+            counts = [int(s[index]) for s in (self.images, self.empty, self.skipped, self.pixels)]
+            if name == "all" or any(counts):
+                masks[name] = MaskScores(
+                    self._means(self.image_sums[index], counts[0]),
+                    self._means(self.pixel_sums[index], counts[3]),
+                    *counts,
+                )
+        return StereoScores(self.max_disparity, self.min_share, masks)
+
+    def _pixel_figures(self, prediction: Tensor, truth: Tensor) -> list[Tensor]:
+        """Each figure at each pixel, (B, H, W), in the order of ``names``."""
+        error = (prediction - truth).abs()
+        # "not within" instead of "above": an error of NaN is an outlier, too.
+        d1 = ~((error <= 3) | (error <= 0.05 * truth))
+        return [error, 100.0 * d1, *(100.0 * ~(error <= n) for n in self.thresholds)]
+
+    def _means(self, sums: Tensor, count: int) -> dict[str, float | None]:
+        values = [float(total) / count if count else None for total in sums]
+        return dict(zip(self.names, values, strict=True))
+
+
+def _masks(scored: Tensor, batch: StereoSample) -> Iterator[tuple[int, Tensor]]:
+    """The masks that this batch has, each with its place in `MASKS`."""
+    yield 0, scored
+    if batch.occluded is not None:
+        yield 1, scored & ~batch.occluded
+        yield 2, scored & batch.occluded
+    if batch.foreground is not None:
+        yield 3, scored & batch.foreground
+        yield 4, scored & ~batch.foreground
+
+
+def _masked_sum(figure: Tensor, mask: Tensor) -> Tensor:
+    """Sum of each image over its mask, (B,), in float64."""
+    return torch.where(mask, figure, 0.0).sum((1, 2), dtype=torch.float64)
+
+
+def _label(figure: str) -> str:
+    return {"epe": "EPE, px", "d1": "D1, %"}.get(figure, f"{figure}, %")

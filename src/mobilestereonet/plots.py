@@ -1,0 +1,241 @@
+"""Pictures: disparity colours, KITTI's error map, panels side by side, training curves.
+
+Every picture is an RGB array of shape (H, W, 3), uint8.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.errors import InputError
+
+Picture = NDArray[np.uint8]
+Map = Tensor | NDArray[Any]
+
+# The development kit of KITTI 2015 gives each doubling of the error the next of ten colours, from
+# 1/16 of the threshold on; the sixth begins at the threshold. They are ColorBrewer's RdYlBu.
+_ERROR_STEPS = 2.0 ** np.arange(-4, 5)
+_ERROR_COLOURS = np.array(
+    [
+        (49, 54, 149),
+        (69, 117, 180),
+        (116, 173, 209),
+        (171, 217, 233),
+        (224, 243, 248),
+        (254, 224, 144),
+        (253, 174, 97),
+        (244, 109, 67),
+        (215, 48, 39),
+        (165, 0, 38),
+    ],
+    dtype=np.uint8,
+)
+_GAP = 4
+_TITLE_HEIGHT = 24
+
+
+def to_picture(view: Tensor) -> Picture:
+    """A view as a picture.
+
+    Args:
+        view: (3, H, W) in 0..1.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    scaled = (view.detach().cpu().float().clamp(0, 1) * 255).round().to(torch.uint8)
+    return np.ascontiguousarray(scaled.permute(1, 2, 0).numpy())
+
+
+def colour_disparity(
+    disparity: Map, maximum: float | None = None, valid: Map | None = None
+) -> Picture:
+    """Colour a disparity map: blue is far, red is near, black is unknown.
+
+    Args:
+        disparity: (H, W), in px.
+        maximum: Disparity of the last colour; by default the 99th percentile of the map, so that
+            a few wild values do not take the range away from the rest.
+        valid: (H, W), False where the disparity is unknown. Values that are not finite are, too.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    values = _array(disparity).astype(np.float32)
+    known = np.isfinite(values)
+    if valid is not None:
+        known &= _array(valid).astype(bool)
+    values = np.where(known, values, 0)
+    if maximum is None:
+        maximum = float(np.percentile(values[known], 99)) if known.any() else 1.0
+    colours = colormaps["turbo"](values / max(maximum, 1e-6), bytes=True)[..., :3]
+    return np.where(known[..., None], colours, 0).astype(np.uint8)
+
+
+def error_map(
+    prediction: Map, truth: Map, valid: Map | None = None, occluded: Map | None = None
+) -> Picture:
+    """Colour the error as KITTI does: cold colours are inliers, warm ones outliers of D1.
+
+    The colour tells min(error / 3 px, error / 5 % of the ground truth), on a logarithmic scale.
+
+    Args:
+        prediction: (H, W), in px.
+        truth: Ground truth, (H, W), in px.
+        valid: (H, W), False (black) where there is no ground truth; by default where it is 0.
+        occluded: (H, W), drawn at half brightness where True.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    true = _array(truth).astype(np.float32)
+    known = true > 0 if valid is None else _array(valid).astype(bool)
+    error = np.abs(_array(prediction).astype(np.float32) - true)
+    relative = np.minimum(error / 3, error / np.maximum(0.05 * true, 1e-6))
+    colours = _ERROR_COLOURS[np.digitize(relative, _ERROR_STEPS)]
+    if occluded is not None:
+        colours = np.where(_array(occluded).astype(bool)[..., None], colours // 2, colours)
+    return np.where(known[..., None], colours, 0).astype(np.uint8)
+
+
+def side_by_side(panels: Sequence[Picture], titles: Sequence[str] | None = None) -> Picture:
+    """Put pictures into one row on white.
+
+    Args:
+        panels: Pictures; lower ones are aligned at the top.
+        titles: A line of text above each.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    top = 0 if titles is None else _TITLE_HEIGHT
+    height = max(panel.shape[0] for panel in panels)
+    columns = []
+    for index, panel in enumerate(panels):
+        right = 0 if index == len(panels) - 1 else _GAP
+        border = (top, height - panel.shape[0], 0, right)
+        column = cv2.copyMakeBorder(panel, *border, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        if titles is not None:
+            place, font = (4, top - 7), cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(column, titles[index], place, font, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+        columns.append(column)
+    return np.concatenate(columns, axis=1).astype(np.uint8)
+
+
+def contact_sheet(samples: Iterable[StereoSample], width: int = 320) -> Picture:
+    """One row per sample: left, right, disparity, occlusion (grey where the map is not known).
+
+    Args:
+        samples: Single samples, not batches.
+        width: Width of each panel in px.
+
+    Returns:
+        (H, W, 3) uint8.
+
+    Raises:
+        InputError: If there is no sample.
+    """
+    rows = [_contact_row(sample, width) for sample in samples]
+    if not rows:
+        raise InputError("a contact sheet needs at least one sample")
+    return np.concatenate(rows, axis=0)
+
+
+def _contact_row(sample: StereoSample, width: int) -> Picture:
+    left, right = to_picture(sample.left), to_picture(sample.right)
+    unknown = np.full_like(left, 128)
+    disparity = occluded = unknown
+    titles = [sample.name, "right", "no disparity", "no occlusion"]
+    if sample.disparity is not None:
+        disparity = colour_disparity(sample.disparity, valid=sample.valid)
+        titles[2] = f"disparity, to {float(sample.disparity.max()):.0f} px"
+    if sample.occluded is not None:
+        occluded = np.where(_array(sample.occluded)[..., None], np.uint8(255), np.uint8(0))
+        occluded = np.repeat(occluded, 3, axis=2)
+        titles[3] = "occluded"
+    size = (width, round(left.shape[0] * width / left.shape[1]))
+    # Maps are not averaged: a mean of two disparity colours is a third disparity.
+    ways = (cv2.INTER_AREA, cv2.INTER_AREA, cv2.INTER_NEAREST, cv2.INTER_NEAREST)
+    panels = (left, right, disparity, occluded)
+    return side_by_side(
+        [
+            cv2.resize(panel, size, interpolation=way).astype(np.uint8)
+            for panel, way in zip(panels, ways, strict=True)
+        ],
+        titles,
+    )
+
+
+def plot_curves(logs: Sequence[Path], picture: Path) -> None:
+    """Draw the curves of training runs, one panel for each kind of figure.
+
+    ``train/loss`` and ``val/loss`` share the panel ``loss``, which has a logarithmic axis.
+
+    Args:
+        logs: The ``metrics.csv`` files of Lightning's CSVLogger.
+        picture: PNG file to write.
+
+    Raises:
+        FileNotFoundError: If a log does not exist.
+        InputError: If the logs have no curve.
+    """
+    families: dict[str, list[tuple[str, list[float], list[float]]]] = defaultdict(list)
+    for log in logs:
+        prefix = f"{log.parent.name}: " if len(logs) > 1 else ""
+        for column, (steps, values) in _curves(log).items():
+            name = column.removesuffix("_step").removesuffix("_epoch")
+            family = "lr" if name.startswith("lr") else name.rsplit("/", 1)[-1]
+            families[family].append((prefix + column, steps, values))
+    if not families:
+        listed = ", ".join(str(log) for log in logs)
+        raise InputError(f"{listed}: no curve in it; it needs a column step and numbers beside it")
+    figure = Figure(figsize=(9, 2.6 * len(families)), layout="constrained")
+    for axes, (family, curves) in zip(
+        figure.subplots(len(families), squeeze=False)[:, 0], sorted(families.items()), strict=True
+    ):
+        for label, steps, values in curves:
+            axes.plot(steps, values, label=label, linewidth=1, marker="." * (len(values) < 30))
+        axes.set(xlabel="step", ylabel=family)
+        if "loss" in family and all(min(values) > 0 for _, _, values in curves):
+            axes.set_yscale("log")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize="small")
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+
+
+def _curves(log: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Columns of a CSV log that hold numbers: each one's steps and values.
+
+    The logger writes a row per event and leaves the other columns empty.
+    """
+    curves: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
+    with log.open(newline="") as file:
+        for row in csv.DictReader(file):
+            for column, cell in row.items():
+                if column in ("step", "epoch") or not cell or not row.get("step"):
+                    continue
+                steps, values = curves[column]
+                steps.append(float(row["step"]))
+                values.append(float(cell))
+    return curves
+
+
+def _array(values: Map) -> NDArray[Any]:
+    return values.detach().cpu().numpy() if isinstance(values, Tensor) else values

@@ -1,0 +1,43 @@
+"""The one thing that every engine can do."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+
+@runtime_checkable
+class Runtime(Protocol):
+    """Turns a prepared pair into a disparity map.
+
+    What "prepared" means is said by two attributes, so that whoever feeds an engine needs no
+    list of engines: `mobilestereonet.inference` normalises and pads exactly as they say.
+    """
+
+    @property
+    def name(self) -> str:
+        """What the command line calls the engine, such as ``sgbm``."""
+        ...
+
+    @property
+    def normalised(self) -> bool:
+        """True: takes views with ImageNet's mean and standard deviation; False: RGB in 0..1."""
+        ...
+
+    @property
+    def multiple(self) -> int:
+        """Height and width must be multiples of this; 1 takes any size."""
+        ...
+
+    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
+        """Match the views.
+
+        Args:
+            left: Left views, (B, 3, H, W) float, prepared as the attributes say.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
+        """
+        ...
