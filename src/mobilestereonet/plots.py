@@ -6,7 +6,6 @@ Every picture is an RGB array of shape (H, W, 3), uint8.
 from __future__ import annotations
 
 import csv
-import io
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,12 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 
@@ -83,7 +80,9 @@ def colour_disparity(
     values = np.where(known, values, 0)
     if maximum is None:
         maximum = float(np.percentile(values[known], 99)) if known.any() else 1.0
-    colours = colormaps["turbo"](values / max(maximum, 1e-6), bytes=True)[..., :3]
+    levels = np.clip(256 * values / max(maximum, 1e-6), 0, 255)
+    # The same table as matplotlib's turbo, without waiting for its import.
+    colours = cv2.applyColorMap(levels.astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
     return np.where(known[..., None], colours, 0).astype(np.uint8)
 
 
@@ -194,6 +193,9 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
         FileNotFoundError: If a log does not exist.
         InputError: If the logs have no curve.
     """
+    # Imported here: pictures of disparities need no matplotlib, and its import is slow.
+    from matplotlib.figure import Figure
+
     families: dict[str, list[tuple[str, list[float], list[float]]]] = defaultdict(list)
     for log in logs:
         prefix = f"{log.parent.name}: " if len(logs) > 1 else ""
@@ -209,15 +211,14 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
         figure.subplots(len(families), squeeze=False)[:, 0], sorted(families.items()), strict=True
     ):
         for label, steps, values in curves:
-            axes.plot(steps, values, label=label, linewidth=1, marker="." * (len(values) < 30))
+            marker = "." if len(values) < 30 else ""
+            axes.plot(steps, values, label=label, linewidth=1, marker=marker)
         axes.set(xlabel="step", ylabel=family)
-        if "loss" in family and all(min(values) > 0 for _, _, values in curves):
+        if "loss" in family and not any(value <= 0 for _, _, values in curves for value in values):
             axes.set_yscale("log")
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
+    write_atomically(picture, lambda path: figure.savefig(path, format="png", dpi=120))
 
 
 def _curves(log: Path) -> dict[str, tuple[list[float], list[float]]]:
@@ -228,12 +229,14 @@ def _curves(log: Path) -> dict[str, tuple[list[float], list[float]]]:
     curves: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
     with log.open(newline="") as file:
         for row in csv.DictReader(file):
+            step = row.pop("step", None)
             for column, cell in row.items():
-                if column in ("step", "epoch") or not cell or not row.get("step"):
-                    continue
-                steps, values = curves[column]
-                steps.append(float(row["step"]))
-                values.append(float(cell))
+                if step and cell and column != "epoch":
+                    try:
+                        curves[column][1].append(float(cell))
+                    except ValueError:
+                        raise InputError(f"{log}: {column} holds {cell!r}, no number") from None
+                    curves[column][0].append(float(step))
     return curves
 
 

@@ -6,6 +6,13 @@ import sys
 
 import typer
 
+from mobilestereonet.cli.cost import cost
+from mobilestereonet.cli.demo import demo
+from mobilestereonet.cli.evaluate import evaluate
+from mobilestereonet.cli.models import models
+from mobilestereonet.cli.predict import predict
+from mobilestereonet.cli.submit import submit
+from mobilestereonet.cli.train import train
 from mobilestereonet.errors import InputError
 
 app = typer.Typer(
@@ -15,6 +22,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+for command in (demo, predict, models, cost, evaluate, submit, train):
+    app.command()(command)
 
 
 def main() -> None:
@@ -22,5 +31,5 @@ def main() -> None:
     try:
         app()
     except (InputError, OSError) as error:
-        print(f"msnet: {error}", file=sys.stderr)
+        print(f"msnet: {error}".replace("\n", " "), file=sys.stderr)
         sys.exit(2)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -67,8 +68,12 @@ class StereoSample:
 
     def to(self, device: torch.device | str) -> StereoSample:
         """Copy of the sample whose tensors lie on ``device``."""
-        tensors = {
-            field.name: value.to(device, non_blocking=True)
+        return self.map(lambda tensor: tensor.to(device, non_blocking=True))
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> StereoSample:
+        """Copy of the sample with ``function`` applied to every image and map."""
+        tensors: dict[str, Any] = {
+            field.name: function(value)
             for field in fields(self)
             if isinstance(value := getattr(self, field.name), Tensor)
         }
@@ -93,7 +98,7 @@ def collate(samples: Sequence[StereoSample]) -> StereoSample:
         raise InputError(
             f"a batch needs images of one size, got {listed}: crop them or use batch size 1"
         )
-    stacked: dict[str, Tensor] = {}
+    stacked: dict[str, Any] = {}
     for field in ("left", "right", "disparity", "valid", "occluded", "foreground"):
         values = [getattr(sample, field) for sample in samples]
         if all(value is not None for value in values):

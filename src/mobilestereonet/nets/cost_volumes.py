@@ -10,7 +10,7 @@ them once per disparity).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
@@ -166,23 +166,24 @@ class LearnedVolume(nn.Module):
         for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
             x = F.relu(norm(conv(x))) * mask
         x = self.squeeze(x.squeeze(2)) * mask.squeeze(2)
-        return x.unflatten(0, (-1, self.planes)).transpose(1, 2)
+        volume: Tensor = x.unflatten(0, (-1, self.planes)).transpose(1, 2)
+        return volume
 
     def _train(self, shares: Sequence[Tensor]) -> Tensor:
         """The same on packed columns, so that batch norms see only columns with a partner."""
         width = shares[0].shape[-1]
-        packed = F.relu(self.norm[0](_ShiftedSums.apply(self.planes, *shares)))
+        packed = F.relu(self.norm[0](_ShiftedSums.apply(self.planes, *shares)))  # type: ignore[no-untyped-call]
         for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
-            planes = _Unpack.apply(packed, self.planes, width)
+            planes = _Unpack.apply(packed, self.planes, width)  # type: ignore[no-untyped-call]
             x = conv(planes.flatten(0, 1)).unflatten(0, (-1, self.planes))
-            packed = F.relu(norm(_Pack.apply(x)))
+            packed = F.relu(norm(_Pack.apply(x)))  # type: ignore[no-untyped-call]
         packed = self.squeeze(packed.squeeze(2))
-        unpacked: Tensor = _Unpack.apply(packed, self.planes, width)
-        return unpacked.transpose(1, 2)
+        volume: Tensor = _Unpack.apply(packed, self.planes, width).transpose(1, 2)  # type: ignore[no-untyped-call]
+        return volume
 
     def _first_shares(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Each view's share of the first convolution, for `_shifted_sum`: (B, 16, depth, H, W)."""
-        conv = self.conv[0]
+        conv = cast(nn.Conv3d, self.conv[0])
         weight = conv.weight.squeeze(1)  # (16, k, 3, 3)
         depth = 2 * REDUCED_CHANNELS // weight.shape[1]
         # One row of output depth per group of k input channels: a block-diagonal kernel.
@@ -197,10 +198,11 @@ class LearnedVolume(nn.Module):
         def share(
             view: Tensor, kernel: Tensor, bias: Tensor | None, pad: tuple[int, int]
         ) -> Tensor:
-            y = F.conv2d(F.pad(view, (*pad, 1, 1)), kernel, bias)
+            y: Tensor = F.conv2d(F.pad(view, (*pad, 1, 1)), kernel, bias)
             y = y.unflatten(1, (depth, -1)).transpose(1, 2)
             return y.contiguous(memory_format=torch.channels_last_3d)
 
+        assert conv.bias is not None
         bias = conv.bias.repeat(depth)
         return (
             share(left, ours, bias, (1, 1)),

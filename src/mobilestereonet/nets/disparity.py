@@ -113,7 +113,7 @@ _ROWS = 16
 
 
 def _row_blocks(scores: Tensor) -> tuple[Tensor, ...]:
-    return scores.split(_ROWS, dim=2)
+    return torch.split(scores, _ROWS, dim=2)
 
 
 def regress_disparity(scores: Tensor) -> Tensor:
@@ -129,6 +129,6 @@ def regress_disparity(scores: Tensor) -> Tensor:
         scores = scores.float()
     scores = F.interpolate(scores, scale_factor=4, mode="bilinear", align_corners=False)
     if scores.requires_grad:
-        disparity: Tensor = _SoftArgmax.apply(scores)
+        disparity: Tensor = _SoftArgmax.apply(scores)  # type: ignore[no-untyped-call]
         return disparity
     return soft_argmax(scores)

@@ -55,8 +55,8 @@ def _named() -> dict[str, NetConfig]:
             for pre_hourglass in ("conv", "v2"):
                 models[f"appendix{dims}-{first_conv}-{pre_hourglass}"] = replace(
                     best,
-                    first_conv=first_conv,  # type: ignore[arg-type]
-                    pre_hourglass=pre_hourglass,  # type: ignore[arg-type]
+                    first_conv=first_conv,
+                    pre_hourglass=pre_hourglass,
                 )
     return models
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.plots import to_picture
 
 _BLOCK = 5
 
@@ -58,7 +59,7 @@ class StereoSGBM:
                 "sgbm takes two views of shape (B, 3, H, W), got "
                 f"{tuple(left.shape)} and {tuple(right.shape)}"
             )
-        maps = [self._match(_to_uint8(a), _to_uint8(b)) for a, b in zip(left, right, strict=True)]
+        maps = [self._match(to_picture(a), to_picture(b)) for a, b in zip(left, right, strict=True)]
         return torch.from_numpy(np.stack(maps)).to(left.device)
 
     def _match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -68,7 +69,7 @@ class StereoSGBM:
         ]
         fixed = self._matcher().compute(*padded)[:, self.max_disparity :]
         # OpenCV gives sixteenths of a pixel, and negative values where it found no match.
-        return _fill_rows(fixed.astype(np.float32) / 16)
+        return _fill_rows((fixed / 16).astype(np.float32))
 
     def _matcher(self) -> cv2.StereoSGBM:
         # Made anew for each pair: OpenCV's object keeps buffers and is not safe to share.
@@ -85,12 +86,6 @@ class StereoSGBM:
             speckleRange=2,
             mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
         )
-
-
-def _to_uint8(view: Tensor) -> NDArray[np.uint8]:
-    """(3, H, W) in 0..1 to (H, W, 3)."""
-    scaled = (view.detach().cpu().float().clamp(0, 1) * 255).round().to(torch.uint8)
-    return np.ascontiguousarray(scaled.permute(1, 2, 0).numpy())
 
 
 def _fill_rows(disparity: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -54,7 +54,9 @@ def _read_state(path: Path) -> dict[str, Tensor]:
     try:
         content: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise InputError(f"{path}: not a readable PyTorch checkpoint: {error}".split("\n")[0]) from error
+        raise InputError(
+            f"{path}: not a readable PyTorch checkpoint: {error}".split("\n")[0]
+        ) from error
     if isinstance(content, Mapping) and isinstance(content.get("model"), Mapping):
         content = content["model"]
     if not isinstance(content, Mapping) or not all(

@@ -1,0 +1,29 @@
+"""Options of a data set on the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from mobilestereonet.errors import InputError
+
+
+def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
+    """Read options such as ``size=H`` or ``webp=true``.
+
+    Values are JSON; what is no JSON is taken as text.
+
+    Raises:
+        InputError: If an assignment has no "=".
+    """
+    options: dict[str, Any] = {}
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals:
+            raise InputError(f"{assignment!r}: an option is written key=value")
+        try:
+            options[key] = json.loads(text)
+        except json.JSONDecodeError:
+            options[key] = text
+    return options

@@ -1,0 +1,191 @@
+"""``msnet cost``: MACs and parameters of a network, or of the paper's tables."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.costs.paper import PaperTable
+
+_SIZE = (256, 512)
+
+
+def cost(
+    model: Annotated[
+        str | None, typer.Argument(help="Network to count; msnet2d if none is given.")
+    ] = None,
+    height: Annotated[int, typer.Option(help="Height of a view, a multiple of 16.")] = _SIZE[0],
+    width: Annotated[int, typer.Option(help="Width of a view, a multiple of 16.")] = _SIZE[1],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="Change a field of the network."),
+    ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="Print the paper's cost figures beside ours.")
+    ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="With --paper: draw its figure of the expansion factor, as PNG."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Count MACs and parameters, exactly and as the paper counts."""
+    if paper:
+        if model or settings or (height, width) != _SIZE:
+            raise InputError(
+                "--paper counts the paper's models at 256 x 512: give no MODEL or size"
+            )
+        _print_paper(plot, as_json)
+    elif plot:
+        raise InputError("--plot draws a figure of the paper: give --paper too")
+    else:
+        _print_model(model or "msnet2d", settings or [], height, width, as_json)
+
+
+def _overrides(model: str, settings: list[str]) -> dict[str, Any]:
+    """Fields and values of FIELD=VALUE, each value of the type that the field has now."""
+    from mobilestereonet.nets import model_config
+
+    config = vars(model_config(model))
+    overrides: dict[str, Any] = {}
+    for setting in settings:
+        field, _, text = setting.partition("=")
+        if field not in config:
+            raise InputError(f"--set {setting}: fields are {', '.join(config)}")
+        current = config[field]
+        try:
+            if isinstance(current, bool):
+                overrides[field] = {"true": True, "false": False}[text.lower()]
+            else:
+                overrides[field] = type(current)(text)
+        except (KeyError, ValueError):
+            kind = "true or false" if isinstance(current, bool) else "a whole number"
+            raise InputError(f"--set {setting}: {field} is {kind}") from None
+    return overrides
+
+
+def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
+    from mobilestereonet.costs.count import count_costs
+    from mobilestereonet.nets import model_config
+
+    config = model_config(model, **_overrides(model, settings))
+    modules = count_costs(config, height, width)
+    if as_json:
+        facts = {"model": model, "config": asdict(config), "height": height, "width": width}
+        costs = {name: asdict(cost) for name, cost in modules.items()}
+        total = costs.pop("total")
+        print(json.dumps({**facts, "modules": costs, "total": total}, indent=2))
+        return
+    _print_table(
+        f"{' '.join([model, *settings])}, two views of 3 x {height} x {width}",
+        ["module", "exact\nMACs G", "\nparams M", "paper's count\nMACs G", "\nparams M"],
+        [
+            [
+                name,
+                f"{cost.macs / 1e9:.3f}",
+                f"{cost.params / 1e6:.4f}",
+                f"{cost.paper_macs / 1e9:.3f}",
+                f"{cost.paper_params / 1e6:.4f}",
+            ]
+            for name, cost in modules.items()
+        ],
+    )
+
+
+def _print_paper(plot: Path | None, as_json: bool) -> None:
+    from mobilestereonet.costs import blocks, paper
+
+    if plot:
+        blocks.plot_expansion(plot)
+    tables = paper.paper_tables()
+    if as_json:
+        cells = [asdict(cell) for table in tables for row in table.rows for cell in row.cells]
+        print(json.dumps(cells, indent=2))
+        return
+    print(
+        "Errors are the paper's figures. ! marks a cost that does not agree with the printed one."
+    )
+    _print_blocks()
+    for table in tables:
+        _print_rows(table)
+    _print_table(
+        "Model size: checkpoint file in MB (1e6 bytes)",
+        ["model", "ours", "printed"],
+        [
+            [size.model, "" if size.ours is None else f"{size.ours:.2f}", f"{size.printed:.2f}"]
+            for size in paper.model_sizes()
+        ],
+    )
+    if plot:
+        print(f"figure of the expansion factor: {plot}")
+
+
+def _print_blocks() -> None:
+    """The paper's Table 1 and the curves of its expansion-factor figure."""
+    from mobilestereonet.costs import blocks, paper
+
+    printed = paper.printed_reduction_factors()
+    _print_table(
+        "Table 1: MACs per output element, k = 3, 32 -> 64 channels, t = 2",
+        ["block", "MACs", "reduction\nfactor", "\nprinted"],
+        [
+            [
+                f"{dims}D {kind}",
+                str(blocks.block_macs(kind, dims, 32, 64)),
+                f"{blocks.reduction_factor(kind, dims, 32, 64):.2f}",
+                str(printed.get(f"{dims}d_{kind}", "")),
+            ]
+            for dims in (2, 3)
+            for kind in ("conv", "v1", "v2")
+        ],
+    )
+    kinds = [(dims, channels) for dims in (2, 3) for channels in blocks.EXPANSION_CHANNELS]
+    curves = [blocks.expansion_curve(dims, channels) for dims, channels in kinds]
+    _print_table(
+        "Expansion factor t: reduction factor of v2 blocks of C channels",
+        ["t", *(f"{dims}D\nC = {channels}" for dims, channels in kinds)],
+        [
+            [str(t), *(f"{factor:.2f}" for factor in factors)]
+            for t, factors in zip(blocks.EXPANSIONS, zip(*curves, strict=True), strict=True)
+        ],
+    )
+
+
+def _print_rows(table: PaperTable) -> None:
+    """A table with costs (ours and printed) and printed errors, and the notes to its cells."""
+    errors = list(dict.fromkeys(error for row in table.rows for error in row.errors))
+    headers = ["row", *errors]
+    if any(row.cells for row in table.rows):
+        headers += ["MACs G\nours", "\nprinted", "params M\nours", "\nprinted"]
+    lines = []
+    for row in table.rows:
+        line = [row.name]
+        line += [f"{row.errors[error]:.2f}" if error in row.errors else "" for error in errors]
+        for cell in row.cells:
+            line += [f"{cell.ours:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
+        lines.append(line)
+    _print_table(f"{table.name}: {table.caption}", headers, lines)
+    for cell in (cell for row in table.rows for cell in row.cells if cell.note):
+        print(f"{'  ' if cell.agrees else '! '}{cell.row}, {cell.what}: {cell.note}")
+
+
+def _print_table(title: str, headers: list[str], lines: list[list[str]]) -> None:
+    """The first column is text, the others are numbers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for index, header in enumerate(headers):
+        table.add_column(header, justify="right" if index else "left", no_wrap=True)
+    for line in lines:
+        table.add_row(*line)
+    print(f"\n{title}", flush=True)
+    Console().print(table)

@@ -1,0 +1,54 @@
+"""``msnet demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path(
+        "demo"
+    ),
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network, or sgbm. [default: msnet2d, or what the weights hold]"),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
+) -> None:
+    """Match the real Motorcycle pair that scikit-image brings along, and score the result."""
+    import numpy as np
+    import torch
+    from skimage.data import stereo_motorcycle
+
+    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.data.sample import StereoSample, collate
+    from mobilestereonet.inference import StereoMatcher, load_pair
+    from mobilestereonet.metrics import StereoMetrics
+
+    left, right, truth = stereo_motorcycle()
+    valid = np.isfinite(truth)
+    sample = StereoSample(
+        *load_pair(left, right),
+        disparity=torch.from_numpy(np.where(valid, truth, 0).astype(np.float32)),
+        valid=torch.from_numpy(valid),
+        name="motorcycle",
+    )
+    matcher = StereoMatcher.from_pretrained(model, weights=weights)
+    make_folder(output)
+    result = matcher(sample.left, sample.right)
+    files = result.save(output, sample.name)
+    metrics = StereoMetrics()
+    metrics.update(torch.from_numpy(result.disparity)[None], collate([sample]))
+    scores = metrics.compute().masks["all"]
+
+    print("Middlebury's Motorcycle, {width}x{height}, {model} on {runtime}".format(**result.facts))
+    print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.per_pixel))
+    print(f"over {scores.pixels} pixels with ground truth 0 < d < 192")
+    print(f"Time {result.facts['seconds']:.2f} s, the first run's")
+    print(f"Picture {files['picture']}, left view beside the disparity (blue far, red near)")
+    print(f"Disparity {', '.join(str(files[kind]) for kind in ('png', 'pfm', 'npy'))}")

@@ -1,0 +1,77 @@
+"""``msnet train``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def train(
+    folder: Annotated[Path, typer.Argument(help="Folder of the run: checkpoints, logs, weights.")],
+    recipe: Annotated[
+        str | None,
+        typer.Option(help="procedural, paper-sceneflow or paper-kitti2015. [default: procedural]"),
+    ] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Override a value of the recipe, such as lr=5e-4, model=msnet3d, "
+            "augment.noise=0.02 or scenes.seed=7. Repeat for more.",
+        ),
+    ] = None,
+    root: Annotated[Path | None, typer.Option(help="Folder of the recipe's data set.")] = None,
+    textures: Annotated[
+        Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights to start from, ours or the authors'.")
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Go on exactly where FOLDER/last.ckpt was written, under its recipe."
+        ),
+    ] = False,
+    max_time: Annotated[
+        str | None, typer.Option(help="Stop, with a checkpoint, after DD:HH:MM:SS.")
+    ] = None,
+    precision: Annotated[
+        str, typer.Option(help="Lightning's precision: 32-true, bf16-mixed, 16-mixed.")
+    ] = "32-true",
+    accelerator: Annotated[str, typer.Option(help="auto, cpu or gpu.")] = "auto",
+    devices: Annotated[int, typer.Option(help="Devices per node.")] = 1,
+    num_nodes: Annotated[
+        int, typer.Option(help="Nodes; start the command on each (torchrun).")
+    ] = 1,
+    workers: Annotated[int, typer.Option(help="Processes that read the data set's files.")] = 0,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+) -> None:
+    """Train a network under a recipe; every value of it can be overridden.
+
+    Without a data set it trains on procedural scenes, which need no download.
+    """
+    from mobilestereonet.training.recipe import get_recipe, override, read_recipe
+    from mobilestereonet.training.run import train as run
+
+    if resume and recipe is None:
+        chosen = read_recipe(folder / "recipe.json")
+    else:
+        chosen = get_recipe(recipe or "procedural")
+    run(
+        override(chosen, assignments or []),
+        folder,
+        root=root,
+        textures=textures,
+        initial=weights,
+        resume=resume,
+        max_time=max_time,
+        precision=precision,
+        accelerator=accelerator,
+        devices=devices,
+        num_nodes=num_nodes,
+        workers=workers,
+        progress=progress,
+    )

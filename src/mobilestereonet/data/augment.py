@@ -1,0 +1,271 @@
+"""Augmentation of stereo pairs: joint for both views, different per view, exact for disparity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AugmentConfig:
+    """What varies between training pairs. The defaults change nothing but the crop.
+
+    A range (lo, hi) is drawn from uniformly; a probability is per pair or, where it says so, per
+    view. Geometry first, then colour (joint, then per view), then what the sensor does.
+
+    Attributes:
+        height: Height of the random crop in pixels; None keeps the whole image.
+        width: Width of the random crop in pixels; None keeps the whole image.
+        scale: Range of the logarithm (base 2) of a resizing before the crop. Disparity follows.
+        vertical_shift: Largest vertical shift of the right view in pixels.
+        rotation: Largest rotation of the right view about its centre in degrees.
+        exposure: Range of the mean brightness (0..1) to which the pair is brought, as a camera's
+            automatic exposure does, by a factor of at most 4; None leaves it.
+        brightness: Largest relative change of the joint brightness.
+        contrast: Largest relative change of the joint contrast.
+        saturation: Largest relative change of the joint saturation.
+        hue: Largest change of the joint hue in radians.
+        gamma: Largest natural logarithm of the joint gamma.
+        view_change: Share of each of the colour changes that is drawn again per view.
+        grey: Probability of a grey pair.
+        vignette: Largest darkening of the corners.
+        blur: Largest standard deviation of a Gaussian blur in pixels, drawn per view.
+        blur_probability: Probability of the blur, per view.
+        noise: Largest standard deviation of the sensor noise (1 = white), drawn per view.
+        patch_probability: Probability that a patch of the right view is painted in its mean colour.
+        patch: Range of the patch's sides in pixels.
+    """
+
+    height: int | None = None
+    width: int | None = None
+    scale: tuple[float, float] = (0.0, 0.0)
+    vertical_shift: float = 0.0
+    rotation: float = 0.0
+    exposure: tuple[float, float] | None = None
+    brightness: float = 0.0
+    contrast: float = 0.0
+    saturation: float = 0.0
+    hue: float = 0.0
+    gamma: float = 0.0
+    view_change: float = 0.0
+    grey: float = 0.0
+    vignette: float = 0.0
+    blur: float = 0.0
+    blur_probability: float = 0.0
+    noise: float = 0.0
+    patch_probability: float = 0.0
+    patch: tuple[int, int] = (20, 80)
+
+
+def augment(
+    sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> StereoSample:
+    """Augment a batch.
+
+    Args:
+        sample: Batch with images (B, 3, H, W) in 0..1.
+        config: What to change.
+        generators: One random generator per pair: a pair's augmentation does not depend on the
+            batch that it is in.
+
+    Returns:
+        Batch of the crop's size, images in 0..1, with disparity and masks to match.
+
+    Raises:
+        InputError: If the crop is larger than the resized image.
+    """
+    if config.scale != (0.0, 0.0):
+        sample = _resize(sample, 2.0 ** generators[0].uniform(*config.scale), config)
+    if config.height is not None or config.width is not None:
+        sample = _crop(sample, config, generators)
+    if config.vertical_shift or config.rotation:
+        sample = _misalign(sample, config, generators)
+    views = torch.stack((sample.left, sample.right), dim=1)  # (B, 2, 3, H, W)
+    if config.exposure is not None:
+        views = _expose(views, config.exposure, generators)
+    views = _sensor(_colour(views, config, generators), config, generators)
+    right = _patch(views[:, 1], config, generators)
+    return replace(sample, left=views[:, 0], right=right)
+
+
+def _resize(sample: StereoSample, factor: float, config: AugmentConfig) -> StereoSample:
+    """Resize views smoothly and maps to the nearest pixel; disparity scales with the width."""
+    height, width = sample.left.shape[-2:]
+    # The crop must still fit: a batch has one factor, its first pair's.
+    factor = max(factor, (config.height or 1) / height, (config.width or 1) / width)
+    size = round(height * factor), round(width * factor)
+    shrink = factor < 1
+
+    def resize(value: Tensor) -> Tensor:
+        if value.dim() == 4:
+            return F.interpolate(value, size, mode="bilinear", antialias=shrink).clamp(0, 1)
+        nearest = F.interpolate(value[:, None].float(), size, mode="nearest-exact")
+        return nearest[:, 0].to(value.dtype)
+
+    resized = sample.map(resize)
+    if resized.disparity is None:
+        return resized
+    return replace(resized, disparity=resized.disparity * (size[1] / width))
+
+
+def _crop(
+    sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> StereoSample:
+    height, width = sample.left.shape[-2:]
+    rows, columns = config.height or height, config.width or width
+    if rows > height or columns > width:
+        raise InputError(
+            f"crop {rows} x {columns} is larger than the image {height} x {width} "
+            f"({sample.name or 'unnamed'}): choose a smaller crop"
+        )
+    tops = [int(generator.integers(height - rows + 1)) for generator in generators]
+    starts = [int(generator.integers(width - columns + 1)) for generator in generators]
+
+    def cut(value: Tensor) -> Tensor:
+        return torch.stack(
+            [
+                image[..., top : top + rows, start : start + columns]
+                for image, top, start in zip(value, tops, starts, strict=True)
+            ]
+        )
+
+    return sample.map(cut)
+
+
+def _draw(
+    generators: Sequence[np.random.Generator], shape: tuple[int, ...], like: Tensor
+) -> Tensor:
+    """Uniform numbers in -1..1, (B, *shape)."""
+    values = np.stack([generator.uniform(-1, 1, shape) for generator in generators])
+    return torch.as_tensor(values, dtype=like.dtype, device=like.device)
+
+
+def _misalign(
+    sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> StereoSample:
+    """Rotate the right view about its centre and shift it vertically, as bad rectification does.
+
+    The rotation moves matches horizontally as well: the disparity follows exactly.
+    """
+    batch, _, height, width = sample.right.shape
+    drawn = _draw(generators, (2,), sample.right)
+    angle = drawn[:, 0] * math.radians(config.rotation)
+    shift = drawn[:, 1] * config.vertical_shift
+    cos, sin = angle.cos(), angle.sin()
+    # affine_grid maps each output pixel to the input pixel that it shows, in units of half sizes.
+    aspect = height / width
+    theta = sample.right.new_zeros(batch, 2, 3)
+    theta[:, 0, 0], theta[:, 0, 1] = cos, sin * aspect
+    theta[:, 1, 0], theta[:, 1, 1] = -sin / aspect, cos
+    theta[:, 0, 2] = -sin * shift * 2 / width
+    theta[:, 1, 2] = -cos * shift * 2 / height
+    grid = F.affine_grid(theta, list(sample.right.shape), align_corners=False)
+    right = F.grid_sample(sample.right, grid, padding_mode="border", align_corners=False)
+    if sample.disparity is None:
+        return replace(sample, right=right)
+    # Forward: input (x, y) relative to the centre goes to x cos - y sin.
+    x = torch.arange(width, device=right.device) - (width - 1) / 2
+    y = torch.arange(height, device=right.device)[:, None] - (height - 1) / 2
+    cos, sin = cos[:, None, None], sin[:, None, None]
+    matched = (x - sample.disparity) * cos - y * sin
+    disparity = x - matched
+    if sample.valid is not None:
+        disparity = torch.where(sample.valid, disparity, 0)
+    return replace(sample, right=right, disparity=disparity)
+
+
+def _expose(
+    views: Tensor, limits: tuple[float, float], generators: Sequence[np.random.Generator]
+) -> Tensor:
+    targets = views.new_tensor([generator.uniform(*limits) for generator in generators])
+    mean = views.mean(dim=(1, 2, 3, 4)).clamp_min(1e-3)
+    gain = (targets / mean).clamp(0.25, 4)
+    return (views * gain[:, None, None, None, None]).clamp(0, 1)
+
+
+def _colour(
+    views: Tensor, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> Tensor:
+    """Brightness, contrast, saturation, hue, gamma, grey: joint, plus a share per view."""
+    drawn = _draw(generators, (3, 5), views)  # joint, left, right
+    change = drawn[:, :1] + config.view_change * drawn[:, 1:]  # (B, 2, 5)
+    grey = torch.tensor([g.uniform() < config.grey for g in generators], device=views.device)
+    limits = (config.brightness, config.contrast, config.saturation, config.hue, config.gamma)
+    if not any(limits) and not config.grey:
+        return views
+    amount = (change * views.new_tensor(limits)).flatten(0, 1)
+    flat = views.flatten(0, 1)
+    if config.hue:
+        from kornia.enhance import adjust_hue
+
+        flat = adjust_hue(flat, amount[:, 3])
+    luminance = _luminance(flat)
+    saturation = (1 + amount[:, 2]) * (~grey).repeat_interleave(2)
+    flat = luminance + (flat - luminance) * saturation[:, None, None, None]
+    mean = luminance.mean(dim=(1, 2, 3), keepdim=True)
+    flat = mean + (flat - mean) * (1 + amount[:, 1])[:, None, None, None]
+    flat = (flat * (1 + amount[:, 0])[:, None, None, None]).clamp(0, 1)
+    flat = flat.clamp_min(1e-6) ** amount[:, 4].exp()[:, None, None, None]
+    return flat.view_as(views)
+
+
+def _luminance(images: Tensor) -> Tensor:
+    weights = images.new_tensor([0.299, 0.587, 0.114])
+    return (images * weights[:, None, None]).sum(dim=1, keepdim=True)
+
+
+def _sensor(
+    views: Tensor, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> Tensor:
+    """Vignetting, blur and noise, drawn per view."""
+    height, width = views.shape[-2:]
+    drawn = _draw(generators, (2, 4), views) / 2 + 0.5  # (B, 2, 4) in 0..1
+    flat, amount = views.flatten(0, 1), drawn.flatten(0, 1)
+    if config.vignette:
+        x = torch.linspace(-1, 1, width, device=views.device)
+        y = torch.linspace(-1, 1, height, device=views.device)[:, None]
+        fall = (x * x + y * y) / 2
+        flat = flat * (1 - config.vignette * amount[:, 0, None, None, None] * fall)
+    if config.blur:
+        from kornia.filters import gaussian_blur2d
+
+        sigma = 0.05 + config.blur * amount[:, 1] * (amount[:, 2] < config.blur_probability)
+        size = 2 * math.ceil(2.5 * config.blur) + 1
+        flat = gaussian_blur2d(flat, size, sigma[:, None].expand(-1, 2))
+    if config.noise:
+        deviation = config.noise * amount[:, 3]
+        shape = (2, 3, height, width)
+        drawn_grain = np.stack([g.standard_normal(shape, dtype=np.float32) for g in generators])
+        grain = torch.as_tensor(drawn_grain, device=views.device).flatten(0, 1)
+        flat = flat + deviation[:, None, None, None] * grain
+    return flat.clamp(0, 1).view_as(views)
+
+
+def _patch(
+    right: Tensor, config: AugmentConfig, generators: Sequence[np.random.Generator]
+) -> Tensor:
+    """Paint a rectangle of the right view in the view's mean colour.
+
+    What the left view sees there has no partner, as behind a nearer object.
+    """
+    if not config.patch_probability:
+        return right
+    height, width = right.shape[-2:]
+    right = right.clone()
+    for image, generator in zip(right, generators, strict=True):
+        if generator.uniform() >= config.patch_probability:
+            continue
+        rows, columns = generator.integers(config.patch[0], config.patch[1] + 1, 2)
+        top, start = generator.integers(height), generator.integers(width)
+        colour = image.mean(dim=(1, 2), keepdim=True)
+        image[:, top : top + rows, start : start + columns] = colour
+    return right

@@ -1,0 +1,205 @@
+"""Ground truth files: each reader gives the disparity and the mask of where it is known.
+
+How a format marks pixels without ground truth (0, infinity, NaN) ends here: every reader returns
+float32 disparities in pixels, 0 where unknown, and a mask that is True where known, both (H, W).
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from mobilestereonet.data.files import (
+    Array,
+    decode_image,
+    read_bytes,
+    read_image,
+    read_pfm,
+    write_png,
+)
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
+
+FloatMap = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+KITTI_SCALE = 256.0
+"""Grey levels per pixel of disparity in the PNGs of KITTI and of most sets after it."""
+
+
+def _masked(disparity: Array) -> tuple[FloatMap, Mask]:
+    valid = np.isfinite(disparity) & (disparity > 0)
+    return np.where(valid, disparity, 0).astype(np.float32), valid
+
+
+def _grey_levels(path: str | Path, *allowed_bits: int) -> Array:
+    levels = decode_image(path)
+    if levels.ndim != 2 or levels.dtype not in [np.dtype(f"uint{bits}") for bits in allowed_bits]:
+        depths = " or ".join(map(str, allowed_bits))
+        raise InputError(
+            f"{path}: disparity or depth must be a grey {depths}-bit image, "
+            f"got {levels.dtype} of shape {levels.shape}"
+        )
+    return levels
+
+
+def read_disparity_png(
+    path: str | Path, scale: float = KITTI_SCALE, bits: int = 16
+) -> tuple[FloatMap, Mask]:
+    """Read a grey image whose levels are disparities times ``scale``, 0 where unknown.
+
+    Args:
+        path: The PNG (or PGM) file.
+        scale: Grey levels per pixel of disparity: 256 for KITTI and DrivingStereo, 1 to 4 for
+            the 8-bit maps of Middlebury 2003 to 2006.
+        bits: 8 or 16. A file of the other depth is refused: it is not the ground truth but a
+            picture of it, or belongs to another data set.
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no single-channel image of that depth.
+    """
+    levels = _grey_levels(path, bits)
+    return _masked(levels / np.float32(scale))
+
+
+def write_disparity_png(
+    path: str | Path, disparity: Array, valid: Mask | None = None, scale: float = KITTI_SCALE
+) -> None:
+    """Write disparities as a 16-bit PNG, the form in which KITTI gives and takes them.
+
+    Args:
+        path: The file to write.
+        disparity: Disparity of shape (H, W) in pixels. What is not finite or not above 0 is
+            written as 0, unknown.
+        valid: Mask (H, W), False where the disparity is not to be written.
+        scale: Grey levels per pixel of disparity.
+
+    Raises:
+        InputError: If a disparity is too large for 16 bits.
+    """
+    values, known = _masked(disparity if valid is None else np.where(valid, disparity, 0))
+    levels = np.rint(values * scale)
+    if levels.max(initial=0) > 65535:
+        raise InputError(
+            f"{path}: disparity {values.max():.6g} does not fit 16 bits at scale {scale:g}: "
+            f"the largest is {65535 / scale:.6g}; use a smaller scale or a PFM file"
+        )
+    # A known disparity that rounds to 0 would read as unknown.
+    write_png(path, np.where(known, levels.clip(1), 0).astype(np.uint16))
+
+
+def read_disparity_pfm(path: str | Path) -> tuple[FloatMap, Mask]:
+    """Read a PFM of disparities; unknown where infinite, NaN or 0.
+
+    Releases differ in sign. The sign that most of a file's pixels have is taken for its
+    convention, so the result is positive either way.
+
+    Args:
+        path: The PFM file.
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no PFM, or one with three channels.
+    """
+    disparity = read_pfm(path)
+    if disparity.ndim != 2:
+        raise InputError(f"{path}: disparity must be a grey PFM (Pf), this one has three channels")
+    known = disparity[np.isfinite(disparity)]
+    if np.count_nonzero(known < 0) > np.count_nonzero(known > 0):
+        disparity = -disparity
+    return _masked(disparity)
+
+
+def read_disparity_sintel(path: str | Path) -> tuple[FloatMap, Mask]:
+    """Read a disparity of MPI Sintel, packed in an 8-bit RGB image.
+
+    The disparity is ``4 R + G / 2**6 + B / 2**14`` pixels.
+
+    Args:
+        path: The PNG file.
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no 8-bit colour image.
+    """
+    levels = decode_image(path)
+    if levels.dtype != np.uint8 or levels.ndim != 3:
+        raise InputError(
+            f"{path}: Sintel packs disparity in an 8-bit RGB image, "
+            f"got {levels.dtype} of shape {levels.shape}"
+        )
+    blue, green, red = np.moveaxis(levels[..., :3].astype(np.float32), 2, 0)
+    return _masked(4 * red + green / 2**6 + blue / 2**14)
+
+
+def read_disparity_vkitti2(path: str | Path, calibration: Calibration) -> tuple[FloatMap, Mask]:
+    """Read a depth image of Virtual KITTI 2 (16-bit, centimetres) as disparity.
+
+    The largest level, 65535, stands for everything beyond 655.35 m, above all the sky: its
+    disparity is only known to be small, so it counts as unknown.
+
+    Args:
+        path: The depth PNG.
+        calibration: The pair's geometry, which turns depth into disparity (``doffs`` is 0).
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no grey 16-bit image.
+    """
+    levels = _grey_levels(path, 16)
+    centimetres = np.where((levels > 0) & (levels < 65535), levels, np.inf)
+    return _masked(calibration.focal * calibration.baseline * 100 / centimetres)
+
+
+def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
+    """Read a disparity file of any format that needs no further knowledge: by its ending.
+
+    Args:
+        path: A ``.pfm``, a ``.npy`` (float, unknown where not finite or not above 0), or a grey
+            image.
+        scale: Grey levels per pixel of disparity, for images only. May be left out for 16-bit
+            images, where it is 256.
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file does not hold disparities, or an 8-bit image comes without scale.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".pfm":
+        return read_disparity_pfm(path)
+    if path.suffix.lower() == ".npy":
+        try:
+            values = np.load(BytesIO(read_bytes(path)), allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise InputError(f"{path}: not an array file of NumPy: {error}") from error
+        if values.ndim != 2:
+            raise InputError(f"{path}: disparity must have shape (H, W), got {values.shape}")
+        return _masked(values)
+    levels = _grey_levels(path, 8, 16)
+    if scale is None and levels.dtype == np.uint8:
+        raise InputError(f"{path}: an 8-bit disparity image needs its scale (levels per pixel)")
+    return _masked(levels / np.float32(scale or KITTI_SCALE))
+
+
+def read_levels(path: str | Path) -> Array:
+    """First channel of a mask or label image, shape (H, W), with the file's own dtype."""
+    return np.asarray(read_image(path)[..., 0])

@@ -1,0 +1,237 @@
+"""Image files: reading, the step to a tensor, PFM, and writing without half-written files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from mobilestereonet.errors import InputError
+
+Array = npt.NDArray[Any]
+
+# The header is text, the numbers that follow may look like anything: one line end closes it.
+# Writers differ in what separates the fields (new lines, blanks, blanks before a new line, CRLF,
+# comments), so anything that is white space does.
+_PFM_HEADER = re.compile(
+    rb"(?P<kind>PF|Pf)(?:\s|#[^\n]*\n)+(?P<width>\d{1,9})\s+(?P<height>\d{1,9})\s+"
+    rb"(?P<scale>\S+)[ \t]*\r?\n"
+)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Content of a file.
+
+    Raises:
+        FileNotFoundError: If there is no such file; the message names it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    return path.read_bytes()
+
+
+def decode_image(path: str | Path) -> Array:
+    """Image as OpenCV decodes it: (H, W) or (H, W, C) with BGR order, the file's own dtype.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no image, or a damaged one.
+    """
+    content = np.frombuffer(read_bytes(path), np.uint8)
+    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    if image is None:
+        raise InputError(
+            f"{path}: not an image that OpenCV can read ({content.size} bytes); "
+            "is it damaged, or in another format than its name says?"
+        )
+    return np.asarray(image)
+
+
+def read_image(path: str | Path) -> Array:
+    """Read an image of any format that OpenCV reads.
+
+    Grey images are repeated to three channels and an alpha channel is dropped. The orientation
+    that a camera may have noted in the file (EXIF) is ignored: a calibration holds for the pixels
+    as they are stored.
+
+    Args:
+        path: The image file.
+
+    Returns:
+        RGB image of shape (H, W, 3) with the file's own dtype: uint8, uint16 or float32.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no image, a damaged one, or of another dtype.
+    """
+    image = decode_image(path)
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(f"{path}: pixels are {image.dtype}, need uint8, uint16 or float32")
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.shape[2] not in (1, 3, 4):
+        raise InputError(f"{path}: {image.shape[2]} channels, need 1, 3 or 4")
+    if image.shape[2] == 1:
+        return image.repeat(3, axis=2)
+    return np.ascontiguousarray(image[..., 2::-1])
+
+
+def image_to_tensor(image: Array) -> Tensor:
+    """Convert an image to what networks take.
+
+    Args:
+        image: RGB or grey image of shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), the last
+            with an alpha channel that is dropped. uint8 is divided by 255 and uint16 by 65535;
+            floating point values must lie in 0..1 already.
+
+    Returns:
+        Float32 tensor of shape (3, H, W) in 0..1 with memory of its own.
+
+    Raises:
+        InputError: If the shape or the dtype is another one, or a value is NaN or outside 0..1.
+    """
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or 0 in image.shape:
+        raise InputError(f"an image needs shape (H, W), (H, W, 1|3|4), got {image.shape}")
+    planes = np.array(image[..., :3].transpose(2, 0, 1), order="C")
+    if planes.dtype == np.uint8:
+        tensor = torch.from_numpy(planes).float().div_(255)
+    elif planes.dtype == np.uint16:
+        tensor = torch.from_numpy(planes.astype(np.float32)).div_(65535)
+    elif np.issubdtype(planes.dtype, np.floating):
+        low, high = planes.min(), planes.max()
+        if not (low >= 0 and high <= 1):  # also False where a value is NaN
+            raise InputError(
+                f"a floating point image needs values in 0..1, got {low:.6g} to {high:.6g}: "
+                "scale it, or pass uint8 or uint16"
+            )
+        tensor = torch.from_numpy(planes.astype(np.float32, copy=False))
+    else:
+        raise InputError(f"an image needs uint8, uint16 or floating point, got {planes.dtype}")
+    return tensor.expand(3, -1, -1).contiguous()
+
+
+def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:
+    """Read a PFM file as any public writer writes it.
+
+    The scale in the header only tells the byte order (negative: little endian). The values are
+    not multiplied by it: writers put arbitrary factors there.
+
+    Args:
+        path: The PFM file.
+
+    Returns:
+        Float32 array with the top row first: (H, W) for a grey file (``Pf``), (H, W, 3) for a
+        colour file (``PF``).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the header is no PFM header or the file is too short for its size.
+    """
+    content = read_bytes(path)
+    header = _PFM_HEADER.match(content)
+    if header is None:
+        raise InputError(f"{path}: not a PFM file, it starts with {content[:24]!r}")
+    try:
+        scale = float(header["scale"])
+    except ValueError:
+        scale = float("nan")
+    if not abs(scale) > 0:
+        raise InputError(
+            f"{path}: PFM scale must be a number other than 0, got {header['scale']!r}"
+        )
+    shape = (int(header["height"]), int(header["width"]), 3 if header["kind"] == b"PF" else 1)
+    count = shape[0] * shape[1] * shape[2]
+    found = len(content) - header.end()
+    if count == 0 or found < 4 * count:
+        raise InputError(
+            f"{path}: PFM of {shape[1]}x{shape[0]} with {shape[2]} channel(s) needs {4 * count} "
+            f"bytes after the header, found {found}: is the file cut off?"
+        )
+    values = np.frombuffer(content, "<f4" if scale < 0 else ">f4", count, header.end())
+    rows = values.reshape(shape)[::-1].astype(np.float32)
+    return rows[..., 0] if shape[2] == 1 else rows
+
+
+def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None:
+    """Write a file so that no reader ever sees a part of it, whatever happens on the way.
+
+    Args:
+        path: The file to make or to replace. Missing folders are made.
+        writer: Writes the content to the path that it is given: a temporary name in the same
+            folder, with the same ending.
+
+    Raises:
+        OSError: If the file cannot be written. ``path`` is then as it was.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{uuid4().hex[:12]}.{path.name}")
+    try:
+        writer(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_png(path: str | Path, image: Array) -> None:
+    """Write a PNG.
+
+    Args:
+        path: The file to write.
+        image: uint8 or uint16, RGB of shape (H, W, 3) or grey of shape (H, W).
+
+    Raises:
+        InputError: If the shape or the dtype is another one.
+    """
+    colour = image.ndim == 3 and image.shape[2] == 3
+    if image.dtype not in (np.uint8, np.uint16) or not (colour or image.ndim == 2):
+        raise InputError(
+            f"{path}: a PNG takes uint8 or uint16 of shape (H, W) or (H, W, 3), "
+            f"got {image.dtype} of shape {image.shape}"
+        )
+    _, content = cv2.imencode(".png", image[..., ::-1] if colour else image)
+    write_atomically(path, lambda temporary: temporary.write_bytes(content.tobytes()))
+
+
+def write_pfm(path: str | Path, values: Array) -> None:
+    """Write a PFM file, little endian.
+
+    Args:
+        path: The file to write.
+        values: Numbers of shape (H, W) or (H, W, 3), stored as float32.
+
+    Raises:
+        InputError: If the shape is another one.
+    """
+    if not (values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 3)):
+        raise InputError(f"{path}: a PFM takes shape (H, W) or (H, W, 3), got {values.shape}")
+    kind = "Pf" if values.ndim == 2 else "PF"
+    header = f"{kind}\n{values.shape[1]} {values.shape[0]}\n-1.0\n".encode()
+    content = header + values[::-1].astype("<f4").tobytes()
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+
+
+def write_npy(path: str | Path, values: Array) -> None:
+    """Write an array in NumPy's own format.
+
+    Args:
+        path: The file to write.
+        values: Array of any shape and number type.
+    """
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.save(file, values, allow_pickle=False)
+
+    write_atomically(path, write)

@@ -1,0 +1,204 @@
+"""What all scanners share: find the frames of an official folder layout, check, read."""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from mobilestereonet.data.disparity_files import FloatMap, Mask
+from mobilestereonet.data.files import image_to_tensor, read_image
+from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.errors import InputError
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the files of one sample lie.
+
+    Attributes:
+        name: What to call the sample in reports and file names; may hold slashes.
+        left: Left view.
+        right: Right view.
+        disparity: Ground truth of the left view; None in a set without ground truth.
+    """
+
+    name: str
+    left: Path
+    right: Path
+    disparity: Path | None = None
+
+
+class StereoDataSet(Dataset[StereoSample], ABC):
+    """Stereo pairs in the folders in which a public data set ships.
+
+    A subclass says which files are left views (`patterns`), what belongs to each (`frame`), and
+    how its ground truth is read (`read_disparity` and, where the set has more, the other
+    ``read_...`` methods).
+
+    Args:
+        root: Folder in which the archives were unpacked.
+        split: One of ``splits``; the first of them if left out.
+        strict: If True, a number of frames other than the official one is an error, not a
+            warning.
+
+    Attributes:
+        splits: Official number of frames of each split; None where there is none.
+        withheld: Splits whose ground truth is not public.
+        frames: The frames found, in the order of their paths.
+
+    Raises:
+        FileNotFoundError: If no left view is found (the message names the root and the
+            patterns), or if a right view or a ground truth is missing (it names both files).
+        InputError: If the split is unknown or, with ``strict``, the number of frames is not the
+            official one.
+    """
+
+    splits: ClassVar[Mapping[str, int | None]]
+    withheld: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, root: str | Path, split: str | None = None, *, strict: bool = False) -> None:
+        self.root = Path(root)
+        self.split = next(iter(self.splits)) if split is None else split
+        if self.split not in self.splits:
+            raise InputError(f"{self}: unknown split, choose one of {', '.join(self.splits)}")
+        self.frames = [self.frame(left) for left in self.left_views()]
+        if self.split in self.withheld:
+            self.frames = [replace(frame, disparity=None) for frame in self.frames]
+        if not self.frames:
+            looked_for = ", ".join(self.patterns())
+            raise FileNotFoundError(f"{self}: nothing found in {self.root}: no {looked_for}")
+        for frame in self.frames:
+            _check_files(frame)
+        self._check_count(strict)
+
+    def __str__(self) -> str:
+        """Class and split, as messages quote them."""
+        return f"{type(self).__name__} ({self.split})"
+
+    @abstractmethod
+    def patterns(self) -> Sequence[str]:
+        """Globs below the root; a file that matches any of them is a left view."""
+
+    @abstractmethod
+    def frame(self, left: Path) -> Frame:
+        """The files that belong to a left view."""
+
+    def left_views(self) -> list[Path]:
+        """Left views of the split, sorted."""
+        return sorted({path for pattern in self.patterns() for path in self.root.glob(pattern)})
+
+    def official_count(self) -> int | None:
+        """Number of frames that the complete set has; None if there is no such number."""
+        return self.splits[self.split]
+
+    @abstractmethod
+    def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
+        """Disparity (H, W) in pixels, 0 where unknown, and mask (H, W), True where known."""
+
+    def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
+        """Mask (H, W), True where the right view does not see the pixel; None if unknown."""
+        return None
+
+    def read_foreground(self, truth: Path) -> Mask | None:
+        """Mask (H, W), True on foreground objects; None if the set has no such labels."""
+        return None
+
+    def read_calibration(self, left: Path) -> Calibration | None:
+        """Geometry of the pair; None if the set does not tell."""
+        return None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> StereoSample:
+        """Read one sample.
+
+        Raises:
+            InputError: If a file is damaged or the sizes within the sample differ.
+        """
+        frame = self.frames[index]
+        left = image_to_tensor(read_image(frame.left))
+        right = image_to_tensor(read_image(frame.right))
+        maps: dict[str, Mask | FloatMap | None] = {}
+        if frame.disparity is not None:
+            disparity, valid = self.read_disparity(frame.disparity)
+            maps = {
+                "disparity": disparity,
+                "valid": valid,
+                "occluded": self.read_occluded(frame.disparity, disparity, valid),
+                "foreground": self.read_foreground(frame.disparity),
+            }
+        tensors = {key: torch.from_numpy(map_) for key, map_ in maps.items() if map_ is not None}
+        for key, tensor in {"right": right, **tensors}.items():
+            if tensor.shape[-2:] != left.shape[-2:]:
+                raise InputError(
+                    f"{frame.left}: left view is {_size(left)}, but {key} is {_size(tensor)}"
+                )
+        return StereoSample(
+            left=left,
+            right=right,
+            calibration=self.read_calibration(frame.left),
+            name=frame.name,
+            **tensors,
+        )
+
+    def _check_count(self, strict: bool) -> None:
+        expected = self.official_count()
+        if expected is None or len(self.frames) == expected:
+            return
+        message = f"{self}: expected {expected} frames, found {len(self.frames)} in {self.root}"
+        if strict:
+            raise InputError(message)
+        warnings.warn(message, stacklevel=3)
+
+
+def occlusion_from_right_view(
+    disparity: FloatMap,
+    valid: Mask,
+    right_disparity: FloatMap,
+    right_valid: Mask,
+    tolerance: float = 1.0,
+) -> Mask:
+    """Find what the right view does not see, from the ground truth of both views.
+
+    A left pixel is occluded if its match lies outside the right view, or if the surface that the
+    right view shows there is nearer by more than ``tolerance``. Where the right ground truth is
+    unknown, the pixel is taken for visible.
+
+    Args:
+        disparity: Disparity of the left view (H, W), in pixels.
+        valid: Mask (H, W), True where it is known.
+        right_disparity: Disparity of the right view (H, W), in pixels, positive.
+        right_valid: Mask (H, W), True where that is known.
+        tolerance: In pixels of disparity; covers rounding to whole columns on slanted surfaces.
+
+    Returns:
+        Mask (H, W), True where the left pixel is known and occluded.
+    """
+    height, width = disparity.shape
+    column = np.floor(np.arange(width) - disparity + 0.5).astype(np.int64)
+    row = np.arange(height)[:, None]
+    match = row, column.clip(0)
+    nearer = right_valid[match] & (right_disparity[match] > disparity + tolerance)
+    occluded: Mask = valid & ((column < 0) | nearer)
+    return occluded
+
+
+def _check_files(frame: Frame) -> None:
+    if not frame.right.is_file():
+        raise FileNotFoundError(f"{frame.left}: its right view {frame.right} is missing")
+    if frame.disparity is not None and not frame.disparity.is_file():
+        raise FileNotFoundError(f"{frame.left}: its ground truth {frame.disparity} is missing")
+
+
+def _size(tensor: torch.Tensor) -> str:
+    height, width = tensor.shape[-2:]
+    return f"{width}x{height}"

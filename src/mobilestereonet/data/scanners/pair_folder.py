@@ -1,0 +1,112 @@
+"""Any folder of pairs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from mobilestereonet.data.calibration import read_calibration
+from mobilestereonet.data.disparity_files import FloatMap, Mask, read_disparity
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.data.scanners.base import Frame, StereoDataSet
+from mobilestereonet.errors import InputError
+
+_WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
+
+
+class PairFolder(StereoDataSet):
+    """Pairs in any folder, found by patterns.
+
+    What the wildcards of ``left`` stand for in a file is filled in for the wildcards of
+    ``right`` and ``disparity``, in the same order::
+
+        root
+        ├── left/0001.png         left="left/*.png"          (the default)
+        ├── right/0001.png        right="right/*.png"        (the default)
+        └── disparity/0001.pfm    disparity="disparity/*.pfm"
+
+    Args:
+        left: Glob of the left views below the root.
+        right: Pattern of the right views, with as many wildcards as ``left``.
+        disparity: Pattern of the ground truth (``.pfm``, ``.npy`` or grey image); no ground
+            truth if left out.
+        scale: Grey levels per pixel of disparity, for images; see `read_disparity`.
+        calibration: Calibration file of all pairs, below the root or absolute.
+
+    The other arguments and the errors are those of `StereoDataSet`.
+    """
+
+    splits: ClassVar = {"all": None}
+
+    def __init__(
+        self,
+        root: str | Path,
+        split: str | None = None,
+        *,
+        left: str = "left/*.png",
+        right: str = "right/*.png",
+        disparity: str | None = None,
+        scale: float | None = None,
+        calibration: str | Path | None = None,
+        strict: bool = False,
+    ) -> None:
+        wildcards = len(_WILDCARD.findall(left))
+        for pattern in (right, disparity):
+            if pattern is not None and len(_WILDCARD.findall(pattern)) != wildcards:
+                raise InputError(
+                    f"PairFolder: {pattern!r} needs as many wildcards as {left!r}, {wildcards}"
+                )
+        self.left, self.right, self.disparity = left, right, disparity
+        self.scale = scale
+        self.calibration = (
+            None if calibration is None else read_calibration(Path(root) / calibration)
+        )
+        super().__init__(root, split, strict=strict)
+
+    def patterns(self) -> Sequence[str]:
+        """The pattern that was given."""
+        return [self.left]
+
+    def left_views(self) -> list[Path]:
+        """Files that the pattern finds, sorted."""
+        try:
+            return super().left_views()
+        except (NotImplementedError, ValueError) as error:
+            raise InputError(f"PairFolder: cannot look for {self.left!r}: {error}") from error
+
+    def frame(self, left: Path) -> Frame:
+        """The other patterns, filled in."""
+        relative = left.relative_to(self.root)
+        parts = _wildcard_values(self.left, relative.as_posix())
+        return Frame(
+            name=relative.with_suffix("").as_posix(),
+            left=left,
+            right=self.root / _fill(self.right, parts),
+            disparity=None if self.disparity is None else self.root / _fill(self.disparity, parts),
+        )
+
+    def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
+        """Disparity in the format that the ending tells."""
+        return read_disparity(truth, self.scale)
+
+    def read_calibration(self, left: Path) -> Calibration | None:
+        """The one of all pairs."""
+        return self.calibration
+
+
+def _wildcard_values(pattern: str, path: str) -> list[str]:
+    groups = {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}
+    texts, wildcards = _WILDCARD.split(pattern), _WILDCARD.findall(pattern)
+    expression = re.escape(texts[0])
+    for wildcard, text in zip(wildcards, texts[1:], strict=True):
+        expression += groups.get(wildcard, "([^/])") + re.escape(text)
+    match = re.fullmatch(expression, path)
+    assert match is not None, f"{path} was found by the glob {pattern}"
+    return list(match.groups())
+
+
+def _fill(pattern: str, values: Sequence[str]) -> str:
+    remaining = iter(values)
+    return _WILDCARD.sub(lambda _: next(remaining), pattern)

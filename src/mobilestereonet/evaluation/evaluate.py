@@ -1,0 +1,257 @@
+"""Score a matcher on a data set."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+from rich.table import Table
+from torch import Tensor
+
+from mobilestereonet.atomic import write_atomically
+from mobilestereonet.data.files import write_png
+from mobilestereonet.data.sample import StereoSample, collate
+from mobilestereonet.errors import InputError
+from mobilestereonet.metrics import StereoMetrics, StereoScores
+from mobilestereonet.nets.normalise import IMAGENET_MEAN
+from mobilestereonet.plots import Picture, colour_disparity, error_map, side_by_side, to_picture
+
+Match = Callable[[Tensor, Tensor], Tensor]
+"""Left and right views, (B, 3, H, W) RGB in 0..1, to disparity in px, (B, H, W).
+
+`StereoMatcher.disparity` and `StereoSGBM` are such functions.
+"""
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """What of each frame is matched, and which pixels are scored.
+
+    Attributes:
+        max_disparity: Pixels with ground truth in ``0 < d < max_disparity`` count, in px.
+        min_share: Skip an image where less than this share of its ground truth is in that range.
+        crop: Height and width of the bottom right part of the frame that is matched and scored;
+            None for all of it.
+        padding: Height and width to which the views are padded, above and on the right, with
+            ImageNet's mean colour: zeros once they are normalised. None leaves it to the matcher.
+    """
+
+    max_disparity: float = 192.0
+    min_share: float = 0.0
+    crop: tuple[int, int] | None = None
+    padding: tuple[int, int] | None = None
+
+
+def authors_protocol(data: str) -> EvaluationProtocol:
+    """How the authors' release scores a data set.
+
+    Args:
+        data: Name of the data set, such as ``sceneflow`` or ``kitti2015``.
+
+    Returns:
+        Its protocol: the rule of 10 % everywhere, SceneFlow's crop to 512 x 960, KITTI's padding
+        to 384 x 1248.
+    """
+    protocol = EvaluationProtocol(min_share=0.1)
+    if data.startswith("kitti"):
+        return replace(protocol, padding=(384, 1248))
+    if data.startswith(("sceneflow", "flyingthings")):
+        return replace(protocol, crop=(512, 960))
+    return protocol
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Scores of one model on one data set; prints itself as a table.
+
+    Attributes:
+        model: What was scored.
+        data: What it was scored on.
+        protocol: How.
+        scores: The figures.
+        seconds_per_image: Median time of a call divided by its number of images.
+    """
+
+    model: str
+    data: str
+    protocol: EvaluationProtocol
+    scores: StereoScores
+    seconds_per_image: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record as plain dicts, ready for JSON."""
+        scores = self.scores.to_dict()
+        protocol = {**asdict(self.protocol), "max_disparity": scores["max_disparity"]}
+        return {
+            "model": self.model,
+            "data": self.data,
+            "protocol": protocol,
+            "seconds_per_image": self.seconds_per_image,
+            "masks": scores["masks"],
+        }
+
+    def __rich__(self) -> Table:
+        return self.scores.table(
+            f"{self.model} on {self.data}, {self.seconds_per_image:.3f} s per image"
+        )
+
+
+def save_evaluations(evaluations: Sequence[Evaluation], path: Path) -> None:
+    """Write records as a JSON list."""
+    records = [evaluation.to_dict() for evaluation in evaluations]
+    text = json.dumps(records, indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+def evaluate(
+    match: Match,
+    data: Iterable[StereoSample],
+    *,
+    model: str,
+    data_name: str,
+    protocol: EvaluationProtocol | None = None,
+    thresholds: Sequence[float] = (1, 2, 3),
+    batch_size: int = 1,
+    pictures: Path | None = None,
+) -> Evaluation:
+    """Match every pair and score it against its ground truth.
+
+    Args:
+        match: What is scored.
+        data: Single samples with ground truth. Their sizes may differ: consecutive samples of one
+            size share a batch.
+        model: Name of ``match`` in the report.
+        data_name: Name of ``data`` in the report.
+        protocol: What is matched and scored; by default whole frames and ``0 < d < 192``.
+        thresholds: The n of px-n, in px.
+        batch_size: Pairs per call at most. It does not change the figures.
+        pictures: Folder for one picture per pair: left view, disparity, KITTI's error map.
+
+    Returns:
+        Scores and time.
+
+    Raises:
+        InputError: If there is no sample, a sample has no ground truth, or ``match`` gives a
+            wrong shape or values that are not finite.
+    """
+    protocol = protocol or EvaluationProtocol()
+    if protocol.padding is not None:
+        match = _padded(match, protocol.padding)
+    metrics = StereoMetrics(protocol.max_disparity, thresholds, protocol.min_share)
+    seconds = []
+    for samples in _batches((_crop(sample, protocol.crop) for sample in data), batch_size):
+        batch = collate(samples)
+        prediction, elapsed = timed_match(match, batch)
+        metrics.update(prediction, batch)
+        seconds.append(elapsed / len(samples))
+        if pictures is not None:
+            for sample, disparity in zip(samples, prediction, strict=True):
+                path = pictures / f"{sample.name.replace('/', '_')}.png"
+                write_png(path, _picture(sample, disparity, protocol.max_disparity))
+    if not seconds:
+        raise InputError(f"{data_name} has no sample to score")
+    return Evaluation(model, data_name, protocol, metrics.compute(), median(seconds))
+
+
+def timed_match(match: Match, batch: StereoSample) -> tuple[Tensor, float]:
+    """Call ``match`` and look at its clock and its result.
+
+    Args:
+        match: What is called.
+        batch: Pairs, (B, 3, H, W).
+
+    Returns:
+        Disparity on the CPU, (B, H, W) float32 in px, and the seconds until it was there.
+
+    Raises:
+        InputError: If the result has another shape or values that are not finite.
+    """
+    started = time.perf_counter()
+    with torch.no_grad():
+        prediction = match(batch.left, batch.right).float().cpu()
+    elapsed = time.perf_counter() - started
+    expected = (batch.left.shape[0], *batch.left.shape[-2:])
+    if prediction.shape != expected:
+        raise InputError(
+            f"{batch.name}: the matcher gave shape {tuple(prediction.shape)}, not {expected}"
+        )
+    if wrong := int((~prediction.isfinite()).sum()):
+        raise InputError(
+            f"{batch.name}: the matcher gave {wrong} disparities that are not finite; "
+            "are its weights damaged?"
+        )
+    return prediction, elapsed
+
+
+def _batches(data: Iterable[StereoSample], size: int) -> Iterator[list[StereoSample]]:
+    """Consecutive samples that stack, ``size`` of them at most."""
+    batch: list[StereoSample] = []
+    for sample in data:
+        if batch and (len(batch) >= size or _shapes(sample) != _shapes(batch[0])):
+            yield batch
+            batch = []
+        batch.append(sample)
+    if batch:
+        yield batch
+
+
+def _shapes(sample: StereoSample) -> dict[str, torch.Size]:
+    """Shape of each map that is there: a batch leaves out a map that one of its samples lacks."""
+    return {name: tensor.shape for name, tensor in _tensors(sample).items()}
+
+
+def _tensors(sample: StereoSample) -> dict[str, Tensor]:
+    values = {field.name: getattr(sample, field.name) for field in fields(sample)}
+    return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+
+
+def _crop(sample: StereoSample, size: tuple[int, int] | None) -> StereoSample:
+    """The bottom right part of a sample; its calibration would not fit any more."""
+    if size is None:
+        return sample
+    height, width = size
+    if height > sample.left.shape[-2] or width > sample.left.shape[-1]:
+        raise InputError(
+            f"{sample.name}: cannot crop {height}x{width} from a frame of "
+            f"{sample.left.shape[-2]}x{sample.left.shape[-1]}"
+        )
+    parts: dict[str, Any] = {
+        name: tensor[..., -height:, -width:] for name, tensor in _tensors(sample).items()
+    }
+    return replace(sample, calibration=None, **parts)
+
+
+def _padded(match: Match, size: tuple[int, int]) -> Match:
+    """``match`` on views padded above and on the right; see `EvaluationProtocol`."""
+
+    def pad(view: Tensor) -> Tensor:
+        height, width = view.shape[-2:]
+        if height > size[0] or width > size[1]:
+            raise InputError(f"cannot pad a view of {height}x{width} to {size[0]}x{size[1]}")
+        colour = view.new_tensor(IMAGENET_MEAN)[:, None, None]
+        canvas = colour.repeat(len(view), 1, *size)
+        canvas[..., size[0] - height :, :width] = view
+        return canvas
+
+    def padded(left: Tensor, right: Tensor) -> Tensor:
+        height, width = left.shape[-2:]
+        return match(pad(left), pad(right))[..., size[0] - height :, :width]
+
+    return padded
+
+
+def _picture(sample: StereoSample, prediction: Tensor, max_disparity: float) -> Picture:
+    assert sample.disparity is not None and sample.valid is not None  # metrics saw to it
+    scored = sample.valid & (sample.disparity > 0) & (sample.disparity < max_disparity)
+    panels = [
+        to_picture(sample.left),
+        colour_disparity(prediction),
+        error_map(prediction, sample.disparity, scored, sample.occluded),
+    ]
+    return side_by_side(panels, [sample.name, "disparity", "error, as KITTI colours it"])

@@ -1,0 +1,204 @@
+"""Stereo matching for users: any pair in, `StereoResult` out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
+from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.plots import to_picture
+from mobilestereonet.runtimes.base import Runtime
+from mobilestereonet.runtimes.sgbm import StereoSGBM
+from mobilestereonet.runtimes.torch import TorchRuntime
+from mobilestereonet.weights import load_pretrained, load_weights
+
+DEFAULT_MODEL = "msnet2d"
+
+
+class StereoMatcher:
+    """Matches rectified pairs of any size: checks, normalises, pads, runs an engine, unpads.
+
+    ``matcher(left, right)`` takes one pair, `batch` takes several, `disparity` takes and gives
+    tensors.
+    """
+
+    def __init__(
+        self,
+        engine: StereoNet | Runtime,
+        *,
+        model: str | None = None,
+        padding: tuple[int, int] | None = None,
+    ) -> None:
+        """Wrap an engine.
+
+        Args:
+            engine: A network, which PyTorch runs on the CPU, or a runtime.
+            model: What ``facts`` call it; by default told from the network's config.
+            padding: Height and width to which every pair is padded; by default the next
+                multiples that the engine takes.
+        """
+        if isinstance(engine, StereoNet):
+            model = model or _name(engine.config)
+            engine = TorchRuntime(engine)
+        self.runtime: Runtime = engine
+        self.model = model or engine.name
+        self.padding = padding
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        model: str | None = None,
+        *,
+        weights: str | Path | None = None,
+        runtime: str = "torch",
+        padding: tuple[int, int] | None = None,
+        **options: Any,
+    ) -> StereoMatcher:
+        """Matcher with trained weights.
+
+        Args:
+            model: Name of a model whose weights come with the package, or "sgbm" (OpenCV's
+                semi-global matching). By default "msnet2d", or what ``weights`` holds.
+            weights: File to read instead: ours, or a checkpoint of the authors.
+            runtime: Engine that runs the network: "torch".
+            padding: See `StereoMatcher`.
+            **options: For the engine: ``device`` and ``threads`` of `TorchRuntime`, or
+                ``max_disparity`` of `StereoSGBM`.
+
+        Raises:
+            FileNotFoundError: If there is no such weights file.
+            InputError: If a name is unknown, there are no weights for it, or the file is damaged
+                or holds another model than ``model``.
+        """
+        if model == StereoSGBM.name:
+            if weights is not None:
+                raise InputError(f"{model} has no weights to read from {weights}: leave them out")
+            return cls(StereoSGBM(**options), padding=padding)
+        if runtime != TorchRuntime.name:
+            raise InputError(f"unknown runtime {runtime!r}: there is {TorchRuntime.name}")
+        net = _load_net(model, weights)
+        engine = TorchRuntime(net, **options)
+        return cls(engine, model=_name(net.config), padding=padding)
+
+    def __call__(self, left: View, right: View) -> StereoResult:
+        """Match one pair.
+
+        Args:
+            left: Left view: the path of an image; an array (H, W) or (H, W, 1|3|4) in RGB order,
+                uint8, uint16 or floating point in 0..1; or a tensor (3, H, W), also with a batch
+                dimension of 1. At least 2 x 2 pixels.
+            right: Right view of the same size, likewise.
+
+        Returns:
+            The result, in the size of the views.
+
+        Raises:
+            FileNotFoundError: If a file does not exist.
+            InputError: If a view is not as above, or the sizes differ.
+        """
+        return self.batch([(left, right)])[0]
+
+    def batch(self, pairs: Iterable[tuple[View, View]]) -> list[StereoResult]:
+        """Match pairs of one size in one run of the engine.
+
+        Args:
+            pairs: Left and right views, each as ``matcher(left, right)`` takes it. Two tensors
+                (B, 3, H, W) go in as ``zip(left, right)``.
+
+        Returns:
+            One result per pair.
+
+        Raises:
+            FileNotFoundError: If a file does not exist.
+            InputError: If a view is not as it should be, or the sizes differ.
+        """
+        loaded = [load_pair(left, right) for left, right in pairs]
+        if not loaded:
+            return []
+        sizes = {f"{left.shape[-1]}x{left.shape[-2]}" for left, _ in loaded}
+        if len(sizes) > 1:
+            raise InputError(
+                f"a batch needs pairs of one size, got {', '.join(sorted(sizes))}: match them "
+                "one by one"
+            )
+        left, right = (torch.stack(views) for views in zip(*loaded, strict=True))
+        started = time.perf_counter()
+        disparities = self.disparity(left, right).cpu()
+        facts = {
+            "model": self.model,
+            "runtime": self.runtime.name,
+            "width": left.shape[-1],
+            "height": left.shape[-2],
+            "seconds": (time.perf_counter() - started) / len(loaded),
+        }
+        return [
+            StereoResult(
+                left=to_picture(view),
+                disparity=disparity.contiguous().numpy(),
+                valid=disparity.isfinite().numpy(),
+                facts=dict(facts),
+            )
+            for view, disparity in zip(left, disparities, strict=True)
+        ]
+
+    def disparity(self, left: Tensor, right: Tensor) -> Tensor:
+        """Match a batch of tensors that need no check of their values.
+
+        Args:
+            left: Left views, (B, 3, H, W) float, RGB in 0..1.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
+
+        Raises:
+            InputError: If the shapes differ, or exceed the ``padding`` of this matcher.
+        """
+        if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
+            raise InputError(
+                "left and right must both be (B, 3, H, W), "
+                f"got {tuple(left.shape)} and {tuple(right.shape)}"
+            )
+        height, width = left.shape[-2:]
+        padded = self._padded_size(height, width)
+        views = [normalise(view) if self.runtime.normalised else view for view in (left, right)]
+        return unpad(self.runtime(*(pad(view, *padded) for view in views)), height, width)
+
+    def _padded_size(self, height: int, width: int) -> tuple[int, int]:
+        multiple = self.runtime.multiple
+        if self.padding is None:
+            return math.ceil(height / multiple) * multiple, math.ceil(width / multiple) * multiple
+        if height > self.padding[0] or width > self.padding[1]:
+            raise InputError(
+                f"views of {height} x {width} (height x width) are larger than the padding to "
+                f"{self.padding[0]} x {self.padding[1]}"
+            )
+        return self.padding
+
+
+def _load_net(model: str | None, weights: str | Path | None) -> StereoNet:
+    if weights is None:
+        return load_pretrained(model or DEFAULT_MODEL)
+    net = load_weights(weights)
+    size = net.config.max_disparity
+    if model is not None and model_config(model, max_disparity=size) != net.config:
+        raise InputError(f"{weights}: holds {_name(net.config)}, not {model}: leave the model out")
+    return net
+
+
+def _name(config: NetConfig) -> str:
+    """The named model that a config is, at any maximum disparity."""
+    for name in list_models():
+        if model_config(name, max_disparity=config.max_disparity) == config:
+            return name
+    return "custom"

@@ -1,0 +1,100 @@
+"""Training batches as a function of the position in the run.
+
+Position i always gives the same pair, augmented in the same way, whatever the batch size, the
+number of ranks and whether the run was interrupted: that is what makes a resumed run exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+from mobilestereonet.data.augment import AugmentConfig, augment
+from mobilestereonet.data.sample import StereoSample, collate
+from mobilestereonet.data.synthetic import ProceduralScenes
+
+_AUGMENT, _ORDER = 1 << 32, 1 << 33
+"""Streams of the random generator beside the scenes' own, as bits of the key's first word."""
+
+
+class TrainingPairs(Dataset[StereoSample]):
+    """Augmented pairs by position, for a DataLoader that asks for whole batches.
+
+    Args:
+        source: Procedural scenes, or any indexable data set of samples.
+        config: The augmentation.
+        seed: Seed of the order and of the augmentation.
+    """
+
+    def __init__(self, source: Dataset[StereoSample], config: AugmentConfig, seed: int) -> None:
+        self.source = source
+        self.config = config
+        self.seed = seed
+
+    def __getitems__(self, positions: Sequence[int]) -> StereoSample:
+        """Batch of the pairs at ``positions``."""
+        generators = [
+            np.random.Generator(np.random.Philox(key=[self.seed | _AUGMENT, position]))
+            for position in positions
+        ]
+        if isinstance(self.source, ProceduralScenes):
+            return augment(self.source.batch(positions), self.config, generators)
+        pairs = [
+            augment(collate([self.source[self._index(position)]]), self.config, [generator])
+            for position, generator in zip(positions, generators, strict=True)
+        ]
+        return _join(pairs)
+
+    def _index(self, position: int) -> int:
+        """Every pass over the data set has an order of its own."""
+        length = len(self.source)  # type: ignore[arg-type]
+        epoch, place = divmod(position, length)
+        key = [self.seed | _ORDER, epoch]
+        return int(np.random.Generator(np.random.Philox(key=key)).permutation(length)[place])
+
+
+def _join(batches: Sequence[StereoSample]) -> StereoSample:
+    """Batches of one pair each -> one batch."""
+    joined: dict[str, Any] = {}
+    for field in fields(StereoSample):
+        values = [getattr(batch, field.name) for batch in batches]
+        if all(isinstance(value, Tensor) for value in values):
+            joined[field.name] = torch.cat(values)
+    return StereoSample(**joined, name=",".join(batch.name for batch in batches))
+
+
+class PositionBatches(Sampler[list[int]]):
+    """One rank's positions, batch by batch, from the current step to the run's end.
+
+    Args:
+        step: Gives the step at which to begin; asked when iteration starts, so that a resumed
+            run goes on where it stopped.
+        steps: Length of the run.
+        batch_size: Pairs per rank and step.
+        rank: This process.
+        ranks: Number of processes.
+    """
+
+    def __init__(
+        self, step: Callable[[], int], steps: int, batch_size: int, rank: int = 0, ranks: int = 1
+    ) -> None:
+        self.step = step
+        self.steps = steps
+        self.batch_size = batch_size
+        self.rank = rank
+        self.ranks = ranks
+
+    def __iter__(self) -> Iterator[list[int]]:
+        for step in range(self.step(), self.steps):
+            first = (step * self.ranks + self.rank) * self.batch_size
+            yield list(range(first, first + self.batch_size))
+
+    def __len__(self) -> int:
+        """Steps of the whole run: Lightning counts those before a resumption as done."""
+        return self.steps

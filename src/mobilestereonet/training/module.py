@@ -1,0 +1,127 @@
+"""The training step."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, cast
+
+import lightning as L
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.nets import channels_last, create_model
+from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.training.losses import cross_entropy_sum, smooth_l1_sum, trained_pixels
+from mobilestereonet.training.recipe import Recipe
+
+
+class StereoModule(L.LightningModule):
+    """A network in training under a recipe.
+
+    A step is skipped, and counted in ``train/skipped``, when no rank has a pixel to learn from or
+    when the gradient's norm (and so any loss) is not finite; the running statistics of the batch
+    norms are put back as they were.
+
+    Args:
+        recipe: The recipe.
+        steps: Length of the run in steps.
+        global_batch: Pairs per step over all devices; the learning rate grows with it.
+    """
+
+    def __init__(self, recipe: Recipe, steps: int, global_batch: int) -> None:
+        super().__init__()
+        torch.manual_seed(recipe.seed)
+        self.net = create_model(recipe.model, max_disparity=recipe.max_disparity)
+        channels_last(self.net)
+        self.recipe = recipe
+        self.steps = steps
+        self.lr = recipe.lr * global_batch / recipe.lr_batch
+        self.skipped: Tensor
+        self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+        self._saved_buffers: list[Tensor] = []
+        self._step_started = time.monotonic()
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1, in eval mode."""
+        return cast(Tensor, self.net(normalise(left), normalise(right)))
+
+    def training_step(self, batch: StereoSample, batch_idx: int) -> Tensor:
+        """Loss of one batch; its gradient, averaged over ranks, is that of the mean over pixels."""
+        self._save_buffers()
+        assert batch.disparity is not None and batch.valid is not None
+        scores = self.net.scores(normalise(batch.left), normalise(batch.right))
+        mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
+        with torch.autocast(self.device.type, enabled=False):
+            predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
+            loss = smooth_l1_sum(predictions, batch.disparity, mask)
+            if self.recipe.cross_entropy:
+                coarse = cross_entropy_sum(scores, batch.disparity, mask)
+                loss = loss + self.recipe.cross_entropy * coarse
+        pixels = mask.sum().to(loss.dtype)
+        ranks = self.trainer.world_size
+        if ranks > 1:
+            dist.all_reduce(pixels)
+        loss = loss * ranks / pixels.clamp_min(1)
+        self._log_step(loss.detach(), predictions[-1].detach(), batch, mask)
+        return loss
+
+    def validation_step(self, batch: StereoSample, batch_idx: int) -> None:
+        """EPE and D1 of one batch."""
+        assert batch.disparity is not None and batch.valid is not None
+        error = (self(batch.left, batch.right) - batch.disparity).abs()
+        mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
+        outlier = (error > 3) & (error > 0.05 * batch.disparity)
+        if mask.any():
+            self.log("val/epe", error[mask].mean(), batch_size=1, prog_bar=True, sync_dist=True)
+            self.log("val/d1", 100 * outlier[mask].float().mean(), batch_size=1, sync_dist=True)
+
+    def configure_optimizers(self) -> Any:
+        """Adam as in the paper, its learning rate by the recipe's schedule at every step."""
+        optimizer = torch.optim.Adam(self.net.parameters(), lr=self.lr, betas=(0.9, 0.999))
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimizer, lambda step: self.recipe.lr_factor(step / self.steps)
+        )
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
+        }
+
+    def configure_gradient_clipping(
+        self,
+        optimizer: torch.optim.Optimizer,
+        gradient_clip_val: float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """Clip the gradient, or drop it: Adam leaves parameters without a gradient alone."""
+        clip = self.recipe.clip or math.inf
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), clip)
+        self.log("train/gradient_norm", norm)
+        if not (0 < norm < math.inf):
+            optimizer.zero_grad(set_to_none=True)
+            torch._foreach_copy_(list(self.net.buffers()), self._saved_buffers)
+            self.skipped += 1
+        self.log("train/skipped", self.skipped.float())
+
+    def _save_buffers(self) -> None:
+        buffers = list(self.net.buffers())
+        if self._saved_buffers and self._saved_buffers[0].device == buffers[0].device:
+            torch._foreach_copy_(self._saved_buffers, buffers)
+        else:
+            self._saved_buffers = [buffer.clone() for buffer in buffers]
+
+    def _log_step(
+        self, loss: Tensor, prediction: Tensor, batch: StereoSample, mask: Tensor
+    ) -> None:
+        assert batch.disparity is not None
+        error = torch.where(mask, (prediction - batch.disparity).abs(), 0)
+        now = time.monotonic()
+        rate = len(mask) * self.trainer.world_size / (now - self._step_started)
+        self._step_started = now
+        self.log("train/loss", loss, prog_bar=True)
+        self.log("train/epe", error.sum() / mask.sum().clamp_min(1), prog_bar=True)
+        self.log("train/samples_per_second", rate, prog_bar=True)
+        self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]

@@ -1,0 +1,214 @@
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from mobilestereonet.cli.assignments import parse_assignments
+from mobilestereonet.cli.evaluate import evaluate as command
+from mobilestereonet.data.disparity_files import write_disparity_png
+from mobilestereonet.data.files import write_png
+from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.errors import InputError
+from mobilestereonet.evaluation import (
+    EvaluationProtocol,
+    authors_protocol,
+    evaluate,
+    load_matcher,
+    save_evaluations,
+)
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.runtimes.sgbm import StereoSGBM
+
+SCALE = 100.0
+
+
+def _match(left, right):
+    """A matcher whose disparity is the red channel of the left view times `SCALE`."""
+    assert left.shape == right.shape and left.ndim == 4
+    return left[:, 0] * SCALE
+
+
+def _sample(name, height, width, error=2.0, **maps) -> StereoSample:
+    """The matcher is wrong by ``error`` px at every pixel of this sample."""
+    generator = torch.Generator().manual_seed(height * width)
+    left = torch.rand(3, height, width, generator=generator) * 0.5 + 0.2
+    disparity = left[0] * SCALE - error
+    calibration = Calibration(focal=100, baseline=0.1)
+    valid = torch.ones_like(disparity, dtype=torch.bool)
+    return StereoSample(left, left, disparity, valid, calibration=calibration, name=name, **maps)
+
+
+def _evaluate(data, match=_match, **options):
+    return evaluate(match, data, model="red", data_name="made up", **options)
+
+
+def test_figures():
+    data = [_sample("a", 4, 6, error=2.0), _sample("b", 8, 6, error=4.0)]
+    result = _evaluate(data, thresholds=(1, 3))
+    scores = result.scores.masks["all"]
+    assert scores.per_image["epe"] == pytest.approx(3.0, abs=1e-4)
+    assert scores.per_pixel["epe"] == pytest.approx(10 / 3, abs=1e-4)  # 24 px of 2, 48 px of 4
+    assert (scores.per_image["px-1"], scores.per_image["px-3"]) == (100.0, 50.0)
+    assert (scores.images, scores.pixels) == (2, 72)
+    assert result.seconds_per_image > 0
+
+
+def test_batches_hold_samples_of_one_kind():
+    occluded = torch.zeros(4, 6, dtype=torch.bool)
+    occluded[:, :3] = True
+    data = [
+        _sample("a", 4, 6, 1.0),
+        _sample("b", 4, 6, 2.0, occluded=occluded),
+        _sample("c", 4, 6, 3.0, occluded=~occluded),
+        _sample("d", 4, 8, 4.0),
+        _sample("e", 4, 8, 5.0),
+        _sample("f", 4, 8, 6.0),
+    ]
+    seen = []
+
+    def match(left, right):
+        seen.append(tuple(left.shape))
+        return _match(left, right)
+
+    batched = _evaluate(data, match, batch_size=2).scores
+    assert seen == [(1, 3, 4, 6), (2, 3, 4, 6), (2, 3, 4, 8), (1, 3, 4, 8)]
+    single = _evaluate(data, batch_size=1).scores
+    assert list(batched.masks) == ["all", "noc", "occ"]
+    assert batched.masks["noc"].images == 2
+    for mask, scores in batched.masks.items():
+        assert scores.per_image == pytest.approx(single.masks[mask].per_image, rel=1e-12)
+
+
+def test_the_authors_protocols():
+    assert authors_protocol("sceneflow") == EvaluationProtocol(192, 0.1, crop=(512, 960))
+    assert authors_protocol("kitti2015") == EvaluationProtocol(192, 0.1, padding=(384, 1248))
+    assert authors_protocol("kitti2012").padding == (384, 1248)
+    assert authors_protocol("eth3d") == EvaluationProtocol(192, 0.1)
+
+
+def test_crop_takes_the_bottom_right():
+    sample = _sample("a", 6, 9)
+    sample.disparity[:2] = 1  # far off, but above the crop
+    sample.disparity[:, :4] = 1  # and left of it
+
+    def match(left, right):
+        assert torch.equal(left[0], sample.left[:, 2:, 4:])
+        return _match(left, right)
+
+    scores = _evaluate([sample], match, protocol=EvaluationProtocol(crop=(4, 5))).scores
+    assert scores.masks["all"].pixels == 20
+    assert scores.masks["all"].per_image["epe"] == pytest.approx(2.0, abs=1e-4)
+    with pytest.raises(InputError, match="cannot crop 7x5 from a frame of 6x9"):
+        _evaluate([sample], protocol=EvaluationProtocol(crop=(7, 5)))
+
+
+def test_padding_is_zero_once_normalised_above_and_on_the_right():
+    sample = _sample("a", 6, 9)
+
+    def match(left, right):
+        assert left.shape == (1, 3, 8, 12)
+        assert torch.equal(left[0, :, 2:, :9], sample.left)
+        zeros = normalise(left)
+        assert not zeros[..., :2, :].any() and not zeros[..., 9:].any()
+        return _match(left, right)
+
+    scores = _evaluate([sample], match, protocol=EvaluationProtocol(padding=(8, 12))).scores
+    assert scores.masks["all"].per_image["epe"] == pytest.approx(2.0, abs=1e-4)
+    with pytest.raises(InputError, match="cannot pad a view of 6x9 to 8x8"):
+        _evaluate([sample], protocol=EvaluationProtocol(padding=(8, 8)))
+
+
+def test_min_share_comes_from_the_protocol():
+    sample = _sample("a", 4, 6)
+    sample.disparity[:] = 200
+    scores = _evaluate([sample], protocol=EvaluationProtocol(min_share=0.1)).scores
+    assert scores.masks["all"].skipped == 1
+
+
+def test_pictures(tmp_path):
+    _evaluate([_sample("scene/a", 40, 60), _sample("b", 30, 50)], pictures=tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.png", "scene_a.png"]
+    picture = cv2.imread(str(tmp_path / "scene_a.png"))
+    assert picture.shape[1] == 3 * 60 + 2 * 4
+    # An error of 2 px at 18 to 68 px: 2 / 3 of the threshold, KITTI's last cold colour.
+    np.testing.assert_array_equal(picture[-20, -30, ::-1], (224, 243, 248))
+
+
+def test_json(tmp_path):
+    protocol = EvaluationProtocol(max_disparity=math.inf)
+    save_evaluations([_evaluate([_sample("a", 4, 6)], protocol=protocol)], tmp_path / "a.json")
+    (record,) = json.loads((tmp_path / "a.json").read_text())
+    assert (record["model"], record["data"]) == ("red", "made up")
+    assert record["protocol"]["max_disparity"] is None
+    assert record["masks"]["all"]["pixels"] == 24
+
+
+def test_bad_input():
+    sample = _sample("a", 4, 6)
+    with pytest.raises(InputError, match="made up has no sample"):
+        _evaluate([])
+    with pytest.raises(InputError, match="no ground truth"):
+        _evaluate([StereoSample(sample.left, sample.right, name="bare")])
+    with pytest.raises(InputError, match="24 disparities that are not finite"):
+        _evaluate([sample], lambda left, right: _match(left, right) * math.nan)
+    with pytest.raises(InputError, match="gave shape"):
+        _evaluate([sample], lambda left, right: left)
+
+
+def test_sgbm_is_a_model_like_any_other(tmp_path):
+    assert isinstance(load_matcher("sgbm"), StereoSGBM)
+    with pytest.raises(InputError, match="no weights"):
+        load_matcher("sgbm", tmp_path / "some.safetensors")
+
+
+def test_options_of_data_sets():
+    assert parse_assignments(["size=H", "webp=true", "scale=4"]) == {
+        "size": "H",
+        "webp": True,
+        "scale": 4,
+    }
+    with pytest.raises(InputError, match="key=value"):
+        parse_assignments(["size"])
+
+
+@pytest.fixture
+def kitti(tmp_path):
+    """Three KITTI 2015 frames of noise, shifted by 8 px, the right half of it foreground."""
+    noise = np.random.default_rng(0).integers(0, 255, (32, 100, 3), dtype=np.uint8)
+    training = tmp_path / "kitti" / "training"
+    for index in range(3):
+        name = f"{index:06d}_10.png"
+        write_png(training / "image_2" / name, np.ascontiguousarray(noise[:, :80]))
+        write_png(training / "image_3" / name, np.ascontiguousarray(noise[:, 8:88]))
+        truth = np.full((32, 80), 8 + 4 * (index == 2), np.float32)
+        truth[:, :20] = 0
+        write_disparity_png(training / "disp_occ_0" / name, truth)
+        objects = np.repeat(np.arange(80)[None] >= 40, 32, axis=0).astype(np.uint8)
+        write_png(training / "obj_map" / name, objects)
+    return tmp_path / "kitti"
+
+
+@pytest.mark.filterwarnings("ignore:KITTI2015")
+def test_command(kitti, tmp_path, capsys):
+    report, pictures = tmp_path / "report.json", tmp_path / "pictures"
+    command("kitti2015", kitti, ["sgbm"], batch_size=2, json=report, pictures=pictures)
+    text = capsys.readouterr().out
+    assert "sgbm on KITTI2015 (training)" in text
+    assert "per image" in text and "per pixel" in text and "fg" in text
+    (record,) = json.loads(report.read_text())
+    assert record["masks"]["all"]["per_image"]["epe"] == pytest.approx(4 / 3, abs=0.05)
+    assert record["masks"]["fg"]["pixels"] == 3 * 32 * 40
+    assert len(list((pictures / "sgbm").iterdir())) == 3
+
+
+@pytest.mark.filterwarnings("ignore:KITTI2015")
+def test_command_with_bad_input(kitti, tmp_path):
+    with pytest.raises(InputError, match="unknown data set 'kitty'"):
+        command("kitty", kitti, ["sgbm"])
+    with pytest.raises(InputError, match="no option 'size'"):
+        command("kitti2015", kitti, ["sgbm"], assignments=["size=H"])
+    with pytest.raises(InputError, match="belongs to one --model"):
+        command("kitti2015", kitti, ["sgbm", "msnet2d"], weights=tmp_path / "w.safetensors")
