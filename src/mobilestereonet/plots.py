@@ -207,17 +207,17 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
         listed = ", ".join(str(log) for log in logs)
         raise InputError(f"{listed}: no curve in it; it needs a column step and numbers beside it")
     figure = Figure(figsize=(9, 2.6 * len(families)), layout="constrained")
-    for axes, (family, curves) in zip(
-        figure.subplots(len(families), squeeze=False)[:, 0], sorted(families.items()), strict=True
-    ):
+    panels = figure.subplots(len(families), sharex=True, squeeze=False)[:, 0]
+    for axes, (family, curves) in zip(panels, sorted(families.items()), strict=True):
         for label, steps, values in curves:
             marker = "." if len(values) < 30 else ""
             axes.plot(steps, values, label=label, linewidth=1, marker=marker)
-        axes.set(xlabel="step", ylabel=family)
+        axes.set_ylabel(family)
         if "loss" in family and not any(value <= 0 for _, _, values in curves for value in values):
             axes.set_yscale("log")
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
+    panels[-1].set_xlabel("step")
     write_atomically(picture, lambda path: figure.savefig(path, format="png", dpi=120))
 
 

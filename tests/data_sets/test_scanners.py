@@ -131,7 +131,7 @@ def test_sceneflow_options_and_counts(tmp_path):
 P_COLOUR = "7.2e+02 0 6.1e+02 {} 0 7.2e+02 1.7e+02 0 0 0 1 0"
 KITTI_CALIBRATION = "".join(
     f"{{prefix}}{camera}: {P_COLOUR.format(value)}\n"
-    for camera, value in enumerate((0, -360, 36, -324))
+    for camera, value in enumerate((0, -396, 36, -324))
 )
 
 
@@ -174,7 +174,7 @@ def test_kitti2012(tmp_path):
     grey = open_data_set("kitti2012", tmp_path, grey=True)
     assert len(grey) == 1
     torch.testing.assert_close(grey[0].left, torch.full((3, H, W), 0.4))
-    assert grey[0].calibration.baseline == pytest.approx(0.5)  # 360 / 720
+    assert grey[0].calibration.baseline == pytest.approx(0.55)  # 396 / 720
 
     for folder, level in (("colored_0", LEFT), ("colored_1", RIGHT)):
         put_image(tmp_path / "testing" / folder / "000000_10.png", level)

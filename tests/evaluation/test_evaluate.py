@@ -16,11 +16,10 @@ from mobilestereonet.evaluation import (
     EvaluationProtocol,
     authors_protocol,
     evaluate,
-    load_matcher,
     save_evaluations,
 )
-from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.sgbm import StereoSGBM
+from mobilestereonet.nets import create_model
+from mobilestereonet.weights import save_weights
 
 SCALE = 100.0
 
@@ -105,22 +104,6 @@ def test_crop_takes_the_bottom_right():
         _evaluate([sample], protocol=EvaluationProtocol(crop=(7, 5)))
 
 
-def test_padding_is_zero_once_normalised_above_and_on_the_right():
-    sample = _sample("a", 6, 9)
-
-    def match(left, right):
-        assert left.shape == (1, 3, 8, 12)
-        assert torch.equal(left[0, :, 2:, :9], sample.left)
-        zeros = normalise(left)
-        assert not zeros[..., :2, :].any() and not zeros[..., 9:].any()
-        return _match(left, right)
-
-    scores = _evaluate([sample], match, protocol=EvaluationProtocol(padding=(8, 12))).scores
-    assert scores.masks["all"].per_image["epe"] == pytest.approx(2.0, abs=1e-4)
-    with pytest.raises(InputError, match="cannot pad a view of 6x9 to 8x8"):
-        _evaluate([sample], protocol=EvaluationProtocol(padding=(8, 8)))
-
-
 def test_min_share_comes_from_the_protocol():
     sample = _sample("a", 4, 6)
     sample.disparity[:] = 200
@@ -156,12 +139,6 @@ def test_bad_input():
         _evaluate([sample], lambda left, right: _match(left, right) * math.nan)
     with pytest.raises(InputError, match="gave shape"):
         _evaluate([sample], lambda left, right: left)
-
-
-def test_sgbm_is_a_model_like_any_other(tmp_path):
-    assert isinstance(load_matcher("sgbm"), StereoSGBM)
-    with pytest.raises(InputError, match="no weights"):
-        load_matcher("sgbm", tmp_path / "some.safetensors")
 
 
 def test_options_of_data_sets():
@@ -205,10 +182,39 @@ def test_command(kitti, tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("ignore:KITTI2015")
+def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monkeypatch):
+    weights, report = tmp_path / "some.safetensors", tmp_path / "report.json"
+    torch.manual_seed(0)
+    save_weights(create_model("msnet2d", max_disparity=32), weights)
+    seen = []
+    monkeypatch.setattr(
+        "mobilestereonet.runtimes.torch.TorchRuntime.__call__",
+        lambda self, left, right: seen.append(left) or left[:, 0],
+    )
+    command("kitti2015", kitti, weights=weights, authors=True, json=report)
+    assert {tuple(view.shape) for view in seen} == {(1, 3, 384, 1248)}
+    assert all(not view[..., :-32, :].any() and not view[..., 80:].any() for view in seen)
+    (record,) = json.loads(report.read_text())
+    assert record["model"] == "msnet2d (some.safetensors)"
+    assert record["protocol"]["padding"] == [384, 1248]
+    assert record["protocol"]["min_share"] == 0.1
+
+
+@pytest.mark.filterwarnings("ignore:KITTI2015")
+def test_sgbm_is_not_padded_under_the_authors_protocol(kitti, tmp_path):
+    reports = [tmp_path / "ours.json", tmp_path / "authors.json"]
+    for authors, report in zip((False, True), reports, strict=True):
+        command("kitti2015", kitti, ["sgbm"], authors=authors, json=report)
+    ours, theirs = (json.loads(report.read_text())[0] for report in reports)
+    assert theirs["masks"] == ours["masks"]
+    assert theirs["protocol"]["padding"] is None
+
+
+@pytest.mark.filterwarnings("ignore:KITTI2015")
 def test_command_with_bad_input(kitti, tmp_path):
     with pytest.raises(InputError, match="unknown data set 'kitty'"):
         command("kitty", kitti, ["sgbm"])
     with pytest.raises(InputError, match="no option 'size'"):
         command("kitti2015", kitti, ["sgbm"], assignments=["size=H"])
-    with pytest.raises(InputError, match="belongs to one --model"):
+    with pytest.raises(InputError, match="belongs to one model"):
         command("kitti2015", kitti, ["sgbm", "msnet2d"], weights=tmp_path / "w.safetensors")

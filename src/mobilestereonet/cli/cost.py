@@ -40,7 +40,7 @@ def cost(
     if paper:
         if model or settings or (height, width) != _SIZE:
             raise InputError(
-                "--paper counts the paper's models at 256 x 512: give no MODEL or size"
+                "--paper counts the paper's models at 256 x 512: no MODEL, --set or size"
             )
         _print_paper(plot, as_json)
     elif plot:
@@ -117,7 +117,7 @@ def _print_paper(plot: Path | None, as_json: bool) -> None:
         _print_rows(table)
     _print_table(
         "Model size: checkpoint file in MB (1e6 bytes)",
-        ["model", "ours", "printed"],
+        ["model", "ours", "paper"],
         [
             [size.model, "" if size.ours is None else f"{size.ours:.2f}", f"{size.printed:.2f}"]
             for size in paper.model_sizes()
@@ -134,7 +134,7 @@ def _print_blocks() -> None:
     printed = paper.printed_reduction_factors()
     _print_table(
         "Table 1: MACs per output element, k = 3, 32 -> 64 channels, t = 2",
-        ["block", "MACs", "reduction\nfactor", "\nprinted"],
+        ["block", "MACs", "reduction\nfactor", "\npaper"],
         [
             [
                 f"{dims}D {kind}",
@@ -163,7 +163,7 @@ def _print_rows(table: PaperTable) -> None:
     errors = list(dict.fromkeys(error for row in table.rows for error in row.errors))
     headers = ["row", *errors]
     if any(row.cells for row in table.rows):
-        headers += ["MACs G\nours", "\nprinted", "params M\nours", "\nprinted"]
+        headers += ["MACs G\nours", "\npaper", "params M\nours", "\npaper"]
     lines = []
     for row in table.rows:
         line = [row.name]
@@ -182,7 +182,7 @@ def _print_table(title: str, headers: list[str], lines: list[list[str]]) -> None
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for index, header in enumerate(headers):
         table.add_column(header, justify="right" if index else "left", no_wrap=True)
     for line in lines:

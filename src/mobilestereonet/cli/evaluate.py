@@ -13,11 +13,15 @@ def evaluate(
     root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
     model: Annotated[
         list[str] | None,
-        typer.Option(help="Network, or sgbm. Repeat for more. [default: msnet2d]"),
+        typer.Option(
+            help="Network, or sgbm. Repeat for more. Default: msnet2d, or what the weights hold."
+        ),
     ] = None,
-    weights: Annotated[Path | None, typer.Option(help="Weights file of the network.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
     split: Annotated[
-        str | None, typer.Option(help="Split of the data set. [default: its first]")
+        str | None, typer.Option(help="Split of the data set. Default: its first.")
     ] = None,
     assignments: Annotated[
         list[str] | None,
@@ -34,7 +38,7 @@ def evaluate(
         float, typer.Option(help="Score ground truth below this, in px; inf for all of it.")
     ] = 192,
     threshold: Annotated[
-        list[float] | None, typer.Option(help="An n of px-n. Repeat for more. [default: 1 2 3]")
+        list[float] | None, typer.Option(help="An n of px-n. Repeat for more. Default: 1 2 3.")
     ] = None,
     batch_size: Annotated[int, typer.Option(min=1, help="Pairs per call.")] = 1,
     pictures: Annotated[
@@ -50,41 +54,53 @@ def evaluate(
     from rich.console import Console
     from rich.progress import track
 
+    from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.data import open_data_set
     from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import (
         EvaluationProtocol,
         authors_protocol,
-        load_matcher,
         save_evaluations,
     )
     from mobilestereonet.evaluation import evaluate as run
+    from mobilestereonet.inference import StereoMatcher
 
-    models = model or ["msnet2d"]
+    models: list[str | None] = [*model] if model else [None]
     if weights is not None and len(models) > 1:
-        raise InputError(f"--weights {weights} belongs to one --model, not to {', '.join(models)}")
+        raise InputError(f"{weights} belongs to one model: give --model once, or not at all")
     options = parse_assignments(assignments or [])
     if split is not None:
         options["split"] = split
     pairs = open_data_set(data, root, **options)
     protocol = authors_protocol(data) if authors else EvaluationProtocol()
     protocol = replace(protocol, max_disparity=max_disparity)
+    # The padding is one of normalised views, which sgbm does not take.
+    protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
+    matchers = [
+        StereoMatcher.from_pretrained(name, weights=weights, padding=own.padding)
+        for name, own in zip(models, protocols, strict=True)
+    ]
+    for folder in (pictures, json and json.parent):
+        if folder is not None:
+            make_folder(folder)
     progress = Console(stderr=True)
     evaluations = []
-    for name in models:
-        indices = track(range(len(pairs)), f"{name} on {pairs}", console=progress, transient=True)
-        result = run(
-            load_matcher(name, weights),
-            (pairs[index] for index in indices),
-            model=name if weights is None else f"{name} ({weights.name})",
-            data_name=str(pairs),
-            protocol=protocol,
-            thresholds=threshold or (1, 2, 3),
-            batch_size=batch_size,
-            pictures=None if pictures is None else pictures / name,
+    for matcher, own in zip(matchers, protocols, strict=True):
+        title, quiet = f"{matcher.model} on {pairs}", not progress.is_terminal
+        indices = track(range(len(pairs)), title, console=progress, transient=True, disable=quiet)
+        evaluations.append(
+            run(
+                matcher.disparity,
+                (pairs[index] for index in indices),
+                model=matcher.model if weights is None else f"{matcher.model} ({weights.name})",
+                data_name=str(pairs),
+                protocol=own,
+                thresholds=threshold or (1, 2, 3),
+                batch_size=batch_size,
+                pictures=None if pictures is None else pictures / matcher.model,
+            )
         )
-        Console().print(result)
-        evaluations.append(result)
+        Console().print(evaluations[-1])
     if json is not None:
         save_evaluations(evaluations, json)

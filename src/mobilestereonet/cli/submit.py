@@ -14,11 +14,16 @@ def submit(
     ],
     root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],
-    model: Annotated[str, typer.Option(help="Network, or sgbm.")] = "msnet2d",
-    weights: Annotated[Path | None, typer.Option(help="Weights file of the network.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
     method: Annotated[
         str | None,
-        typer.Option(help="Name of the method in Middlebury's files. [default: the model's]"),
+        typer.Option(help="Name of the method in Middlebury's files. Default: the model's."),
     ] = None,
     size: Annotated[str, typer.Option(help="Middlebury's size: Q, H or F.")] = "Q",
     training_only: Annotated[
@@ -30,19 +35,20 @@ def submit(
     from rich.console import Console
     from rich.progress import track
 
-    from mobilestereonet.evaluation import (
-        load_matcher,
-        open_benchmark,
-        plan_submission,
-        write_submission,
-    )
+    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
+    from mobilestereonet.inference import StereoMatcher
 
-    plan = plan_submission(benchmark, method or model, size, training_only)
+    matcher = StereoMatcher.from_pretrained(model, weights=weights)
+    plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
+    make_folder(output.parent)
     places = [(part, index) for part in parts for index in range(len(part))]
-    progress = track(places, benchmark, console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    progress = track(places, benchmark, console=console, transient=True, disable=quiet)
     pairs = (part[index] for part, index in progress)
-    write_submission(plan, load_matcher(model, weights), pairs, output)
+    write_submission(plan, matcher.disparity, pairs, output)
     print(
         f"{output}: {len(plan.maps)} disparity maps, {len(plan.runtimes)} times; "
         "names, counts, types and sizes are as the server wants them"

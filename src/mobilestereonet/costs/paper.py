@@ -112,11 +112,11 @@ def _cells(table: str, row: str, cost: Cost, macs: float, params: float) -> tupl
     )
 
 
-def _ablation(table: str, caption: str, key: str, prefix: str, fields: list[str]) -> PaperTable:
-    """Table whose rows are models named ``<prefix>-<field>-<field>``."""
+def _ablation(table: str, caption: str, key: str, fields: tuple[str, str]) -> PaperTable:
+    """Table whose rows are models named ``<table>-<field>-<field>``, without the table's space."""
     rows = []
     for line in _printed()[key]:
-        model = "-".join([prefix, *(line[field] for field in fields)])
+        model = "-".join([table.lower().replace(" ", ""), *(line[field] for field in fields)])
         cells = _cells(table, model, _costs(model)["total"], line["macs"], line["params"])
         rows.append(Row(model, {"EPE": line["epe"]}, cells))
     return PaperTable(table, caption, tuple(rows))
@@ -174,9 +174,7 @@ def _finals() -> PaperTable:
             ),
         ):
             rows.append(Row(row, errors, _cells("Finals", row, total, line["macs"], params)))
-    return PaperTable(
-        "Finals", "errors on SceneFlow, and on KITTI 2015's 40 validation frames", tuple(rows)
-    )
+    return PaperTable("Finals", "errors on SceneFlow, and on KITTI 2015 (validation)", tuple(rows))
 
 
 def paper_tables() -> list[PaperTable]:
@@ -184,30 +182,15 @@ def paper_tables() -> list[PaperTable]:
 
     Takes some seconds: about thirty networks are counted.
     """
-    blocks, further = ["features", "hourglass"], ["first_conv", "pre_hourglass"]
-    more = "first convolutions and pre-hourglass"
+    blocks, further = ("features", "hourglass"), ("first_conv", "pre_hourglass")
+    by_blocks = "by features and hourglass"
+    by_further = "by first convolutions and pre-hourglass"
     return [
         _cost_volumes(),
-        _ablation(
-            "Table 3a", "2D networks by features and hourglass", "table3a_2d", "table3a", blocks
-        ),
-        _ablation(
-            "Table 3b", "3D networks by features and hourglass", "table3b_3d", "table3b", blocks
-        ),
-        _ablation(
-            "Appendix 2D",
-            f"2D networks by {more}",
-            "table_appendix_2d_further",
-            "appendix2d",
-            further,
-        ),
-        _ablation(
-            "Appendix 3D",
-            f"3D networks by {more}",
-            "table_appendix_3d_further",
-            "appendix3d",
-            further,
-        ),
+        _ablation("Table 3a", f"2D networks {by_blocks}", "table3a_2d", blocks),
+        _ablation("Table 3b", f"3D networks {by_blocks}", "table3b_3d", blocks),
+        _ablation("Appendix 2D", f"2D networks {by_further}", "table_appendix_2d_further", further),
+        _ablation("Appendix 3D", f"3D networks {by_further}", "table_appendix_3d_further", further),
         _modules(),
         _finals(),
     ]

@@ -1,5 +1,6 @@
 """Stereo pairs: the sample record, files, public data sets, procedural scenes, augmentation."""
 
+from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.disparity_files import (
     FloatMap,
@@ -15,7 +16,6 @@ from mobilestereonet.data.files import (
     image_to_tensor,
     read_image,
     read_pfm,
-    write_atomically,
     write_npy,
     write_pfm,
     write_png,

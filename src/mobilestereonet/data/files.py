@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import cv2
 import numpy as np
@@ -14,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
 
 Array = npt.NDArray[Any]
@@ -161,27 +160,6 @@ def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:
     values = np.frombuffer(content, "<f4" if scale < 0 else ">f4", count, header.end())
     rows = values.reshape(shape)[::-1].astype(np.float32)
     return rows[..., 0] if shape[2] == 1 else rows
-
-
-def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None:
-    """Write a file so that no reader ever sees a part of it, whatever happens on the way.
-
-    Args:
-        path: The file to make or to replace. Missing folders are made.
-        writer: Writes the content to the path that it is given: a temporary name in the same
-            folder, with the same ending.
-
-    Raises:
-        OSError: If the file cannot be written. ``path`` is then as it was.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{uuid4().hex[:12]}.{path.name}")
-    try:
-        writer(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_png(path: str | Path, image: Array) -> None:

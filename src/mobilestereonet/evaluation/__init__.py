@@ -8,7 +8,6 @@ from mobilestereonet.evaluation.evaluate import (
     evaluate,
     save_evaluations,
 )
-from mobilestereonet.evaluation.matchers import load_matcher
 from mobilestereonet.evaluation.submit import (
     BENCHMARKS,
     Submission,
@@ -27,7 +26,6 @@ __all__ = [
     "authors_protocol",
     "check_submission",
     "evaluate",
-    "load_matcher",
     "open_benchmark",
     "plan_submission",
     "save_evaluations",

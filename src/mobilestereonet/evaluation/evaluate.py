@@ -19,13 +19,12 @@ from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
 from mobilestereonet.metrics import StereoMetrics, StereoScores
-from mobilestereonet.nets.normalise import IMAGENET_MEAN
 from mobilestereonet.plots import Picture, colour_disparity, error_map, side_by_side, to_picture
 
 Match = Callable[[Tensor, Tensor], Tensor]
 """Left and right views, (B, 3, H, W) RGB in 0..1, to disparity in px, (B, H, W).
 
-`StereoMatcher.disparity` and `StereoSGBM` are such functions.
+``StereoMatcher.disparity`` is such a function, and so is a `StereoSGBM`.
 """
 
 
@@ -38,8 +37,9 @@ class EvaluationProtocol:
         min_share: Skip an image where less than this share of its ground truth is in that range.
         crop: Height and width of the bottom right part of the frame that is matched and scored;
             None for all of it.
-        padding: Height and width to which the views are padded, above and on the right, with
-            ImageNet's mean colour: zeros once they are normalised. None leaves it to the matcher.
+        padding: Height and width to which inference pads the normalised views; None for the next
+            size that the engine takes. `evaluate` sees whole views only: it is for
+            ``StereoMatcher(..., padding=...)``, by whoever makes the matcher.
     """
 
     max_disparity: float = 192.0
@@ -68,7 +68,7 @@ def authors_protocol(data: str) -> EvaluationProtocol:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Scores of one model on one data set; prints itself as a table.
+    """Scores of one model on one data set; a console of `rich` prints it as a table.
 
     Attributes:
         model: What was scored.
@@ -141,8 +141,6 @@ def evaluate(
             wrong shape or values that are not finite.
     """
     protocol = protocol or EvaluationProtocol()
-    if protocol.padding is not None:
-        match = _padded(match, protocol.padding)
     metrics = StereoMetrics(protocol.max_disparity, thresholds, protocol.min_share)
     seconds = []
     for samples in _batches((_crop(sample, protocol.crop) for sample in data), batch_size):
@@ -225,25 +223,6 @@ def _crop(sample: StereoSample, size: tuple[int, int] | None) -> StereoSample:
         name: tensor[..., -height:, -width:] for name, tensor in _tensors(sample).items()
     }
     return replace(sample, calibration=None, **parts)
-
-
-def _padded(match: Match, size: tuple[int, int]) -> Match:
-    """``match`` on views padded above and on the right; see `EvaluationProtocol`."""
-
-    def pad(view: Tensor) -> Tensor:
-        height, width = view.shape[-2:]
-        if height > size[0] or width > size[1]:
-            raise InputError(f"cannot pad a view of {height}x{width} to {size[0]}x{size[1]}")
-        colour = view.new_tensor(IMAGENET_MEAN)[:, None, None]
-        canvas = colour.repeat(len(view), 1, *size)
-        canvas[..., size[0] - height :, :width] = view
-        return canvas
-
-    def padded(left: Tensor, right: Tensor) -> Tensor:
-        height, width = left.shape[-2:]
-        return match(pad(left), pad(right))[..., size[0] - height :, :width]
-
-    return padded
 
 
 def _picture(sample: StereoSample, prediction: Tensor, max_disparity: float) -> Picture:

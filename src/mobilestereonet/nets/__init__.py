@@ -1,14 +1,13 @@
 """The networks: configs, blocks, cost volumes, hourglasses and their assembly."""
 
 from mobilestereonet.nets.config import NetConfig
-from mobilestereonet.nets.stereo_net import SIZE_MULTIPLE, StereoNet, channels_last
+from mobilestereonet.nets.stereo_net import SIZE_MULTIPLE, StereoNet
 from mobilestereonet.nets.zoo import create_model, list_models, model_config
 
 __all__ = [
     "SIZE_MULTIPLE",
     "NetConfig",
     "StereoNet",
-    "channels_last",
     "create_model",
     "list_models",
     "model_config",

@@ -30,12 +30,11 @@ _KERNEL_DEPTHS: dict[CostVolume, tuple[int, int, int]] = {
 """Depths of the three kernels, each also its stride. Only the first ones are the paper's."""
 
 
-def _pad_left(parts: Sequence[Tensor], planes: int, dim: int) -> Tensor:
-    """Stack parts of width W, W - 1 ... as planes of width W, zero on the left; absent ones too."""
+def _pad_left(parts: Sequence[Tensor], planes: int) -> list[Tensor]:
+    """Parts of width W, W - 1 ... -> planes of width W, zero on the left, and where one lacks."""
     width = parts[0].shape[-1]
     padded = [F.pad(part, (width - part.shape[-1], 0)) for part in parts]
-    padded += [torch.zeros_like(padded[0])] * (planes - len(parts))
-    return torch.stack(padded, dim=dim)
+    return padded + [torch.zeros_like(padded[0])] * (planes - len(parts))
 
 
 def _widths(planes: int, width: int) -> list[int]:
@@ -43,29 +42,31 @@ def _widths(planes: int, width: int) -> list[int]:
 
 
 class _Pack(torch.autograd.Function):
-    """(B, D, ..., W) -> (B, ..., P): the columns x >= i of every plane i, side by side."""
+    """(D B, ..., W) -> (B, ..., P): the columns x >= i of every plane i, side by side."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.planes, width = x.shape[1], x.shape[-1]
-        ctx.width = width
-        return torch.cat([x[:, i, ..., i:] for i in range(min(ctx.planes, width))], dim=-1)
+    def forward(ctx: Any, x: Tensor, planes: int) -> Tensor:
+        ctx.planes, ctx.width = planes, x.shape[-1]
+        parts = x.chunk(planes)[: ctx.width]
+        return torch.cat([plane[..., i:] for i, plane in enumerate(parts)], dim=-1)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Tensor:
-        return _pad_left(grads[0].split(_widths(ctx.planes, ctx.width), -1), ctx.planes, dim=1)
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        parts = torch.split(grads[0], _widths(ctx.planes, ctx.width), dim=-1)
+        return torch.cat(_pad_left(parts, ctx.planes)), None
 
 
 class _Unpack(torch.autograd.Function):
-    """(B, ..., P) -> (B, D, ..., W): the inverse of `_Pack`, zero elsewhere."""
+    """(B, ..., P) -> (D B, ..., W): the inverse of `_Pack`, zero elsewhere."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, planes: int, width: int) -> Tensor:
-        return _pad_left(x.split(_widths(planes, width), -1), planes, dim=1)
+        ctx.planes = planes
+        return torch.cat(_pad_left(torch.split(x, _widths(planes, width), dim=-1), planes))
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
-        return _Pack.forward(ctx, grads[0]), None, None
+        return _Pack.forward(ctx, grads[0], ctx.planes), None, None
 
 
 class _ShiftedSums(torch.autograd.Function):
@@ -78,7 +79,7 @@ class _ShiftedSums(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        first, *others = grads[0].split(ctx.widths, dim=-1)
+        first, *others = torch.split(grads[0], ctx.widths, dim=-1)
         ours, theirs = first.float(), first.float()
         ours_first, theirs_last = torch.zeros_like(ours), torch.zeros_like(ours)
         for i, grad in enumerate(others, start=1):
@@ -121,7 +122,7 @@ class Correlation(nn.Module):
             (left[..., i:] * right[..., : width - i]).unflatten(1, (self.groups, -1)).mean(dim=2)
             for i in range(min(self.planes, width))
         ]
-        return _pad_left(parts, self.planes, dim=2)
+        return torch.stack(_pad_left(parts, self.planes), dim=2)
 
 
 class LearnedVolume(nn.Module):
@@ -153,21 +154,21 @@ class LearnedVolume(nn.Module):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, 32, H, W) twice -> (B, 1, D, H, W)."""
         shares = self._first_shares(left, right)
-        if self.training:
-            return self._train(shares)
-        width = left.shape[-1]
+        planes = self._train(shares) if self.training else self._evaluate(shares)
+        # Planes lie along the batch, which keeps every layer's input channels last.
+        return torch.stack(planes.chunk(self.planes), dim=2)
+
+    def _evaluate(self, shares: Sequence[Tensor]) -> Tensor:
+        """Three convolutions of every plane, masked: (D B, 1, H, W)."""
+        batch, width = len(shares[0]), shares[0].shape[-1]
         parts = [_shifted_sum(i, *shares) for i in range(min(self.planes, width))]
-        x = _pad_left(parts, self.planes, dim=1).flatten(0, 1)
-        column = torch.arange(width, device=x.device)
-        plane = torch.arange(self.planes, device=x.device)
-        mask = (column >= plane[:, None]).to(x.dtype).repeat(len(left), 1)
-        mask = mask[:, None, None, None]  # (B D, 1, 1, 1, W)
-        x = F.relu(self.norm[0](x)) * mask
+        column = torch.arange(width, device=parts[0].device)
+        plane = torch.arange(self.planes, device=parts[0].device).repeat_interleave(batch)
+        mask = (column >= plane[:, None]).to(parts[0].dtype)[:, None, None, None]
+        x = F.relu(self.norm[0](torch.cat(_pad_left(parts, self.planes)))) * mask
         for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
             x = F.relu(norm(conv(x))) * mask
-        x = self.squeeze(x.squeeze(2)) * mask.squeeze(2)
-        volume: Tensor = x.unflatten(0, (-1, self.planes)).transpose(1, 2)
-        return volume
+        return cast(Tensor, self.squeeze(x.squeeze(2)) * mask.squeeze(2))
 
     def _train(self, shares: Sequence[Tensor]) -> Tensor:
         """The same on packed columns, so that batch norms see only columns with a partner."""
@@ -175,11 +176,10 @@ class LearnedVolume(nn.Module):
         packed = F.relu(self.norm[0](_ShiftedSums.apply(self.planes, *shares)))  # type: ignore[no-untyped-call]
         for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
             planes = _Unpack.apply(packed, self.planes, width)  # type: ignore[no-untyped-call]
-            x = conv(planes.flatten(0, 1)).unflatten(0, (-1, self.planes))
-            packed = F.relu(norm(_Pack.apply(x)))  # type: ignore[no-untyped-call]
+            packed = _Pack.apply(conv(planes), self.planes)  # type: ignore[no-untyped-call]
+            packed = F.relu(norm(packed))
         packed = self.squeeze(packed.squeeze(2))
-        volume: Tensor = _Unpack.apply(packed, self.planes, width).transpose(1, 2)  # type: ignore[no-untyped-call]
-        return volume
+        return cast(Tensor, _Unpack.apply(packed, self.planes, width))  # type: ignore[no-untyped-call]
 
     def _first_shares(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Each view's share of the first convolution, for `_shifted_sum`: (B, 16, depth, H, W)."""

@@ -2,14 +2,14 @@
 
 The paper upsamples (D, H/4, W/4) scores trilinearly to (4 D, H, W), half-pixel centres, and takes
 the expectation of the disparity under their softmax. Between two neighbouring coarse disparities
-the upsampled scores are linear in the disparity, so with a and b the eighth roots of the two
-coarse terms exp(score), the four fine terms of the interval are
+the upsampled scores are linear in the disparity, so the four fine terms of the interval are a
+geometric series: with r = exp(-|difference of the two scores| / 4) and e the largest of the four,
 
-    a^7 b, a^5 b^3, a^3 b^5, a b^7,
+    e, e r, e r^2, e r^3,
 
-whose sum is a b (a^2 + b^2)(a^4 + b^4) and whose first moment about the interval's centre is
-a b (b^2 - a^2)(1.5 (a^4 + b^4) + 2 a^2 b^2). The two fine bins at either end repeat the outer
-score. Hence (D, H, W) is enough, with one exponential per coarse score.
+from the better score's side. Their sum is e (1 + r)(1 + r^2), and the moments about the interval's
+centre have closed forms as well. The two fine bins at either end repeat the outer score. Hence
+(D, H, W) is enough, with two exponentials per coarse score instead of four.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from torch import Tensor
 
 
 class _Moments(NamedTuple):
-    """Unnormalised terms of the softmax, each interval's relative to its centre."""
+    """Sums over each interval's four terms, before the softmax's division."""
 
     mass: Tensor  # (B, D - 1, H, W)
-    first: Tensor
+    first: Tensor  # moments of the disparity about the interval's centre
     second: Tensor
     left_end: Tensor  # (B, H, W), the two bins below the first interval
     right_end: Tensor
@@ -33,22 +33,23 @@ class _Moments(NamedTuple):
 
 
 def _moments(scores: Tensor) -> _Moments:
-    root = torch.exp((scores - scores.amax(dim=1, keepdim=True)) / 8)
-    square = root * root
-    fourth = square * square
-    a2, b2 = square[:, :-1], square[:, 1:]
-    a4_b4 = fourth[:, :-1] + fourth[:, 1:]
-    product = root[:, :-1] * root[:, 1:]
-    a2_b2 = a2 * b2
-    sum2 = a2 + b2
-    intervals = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
+    low, high = scores[:, :-1], scores[:, 1:]
+    gap = (high - low).abs()
+    best = torch.maximum(low, high) - gap / 8
+    peak = best.amax(dim=1, keepdim=True)
+    peak = torch.maximum(peak, torch.maximum(scores[:, :1], scores[:, -1:]))
+    e = torch.exp(best - peak)
+    r = torch.exp(-gap / 4)
+    r2 = r * r
+    r3 = r * r2
+    centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
     return _Moments(
-        mass=product * sum2 * a4_b4,
-        first=product * (b2 - a2) * (1.5 * a4_b4 + 2 * a2_b2),
-        second=product * sum2 * (2.25 * a4_b4 - 2 * a2_b2),
-        left_end=2 * fourth[:, 0].square(),
-        right_end=2 * fourth[:, -1].square(),
-        centres=(4 * intervals + 3.5)[:, None, None],
+        mass=e * (1 + r) * (1 + r2),
+        first=e * torch.sign(high - low) * (1.5 * (1 - r3) + 0.5 * (r - r2)),
+        second=e * (2.25 * (1 + r3) + 0.25 * (r + r2)),
+        left_end=2 * torch.exp(scores[:, 0] - peak[:, 0]),
+        right_end=2 * torch.exp(scores[:, -1] - peak[:, 0]),
+        centres=(4 * centres + 3.5)[:, None, None],
     )
 
 

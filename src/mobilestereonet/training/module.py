@@ -9,12 +9,19 @@ from typing import Any, cast
 import lightning as L
 import torch
 import torch.distributed as dist
+from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
+from torch.nn.utils import (
+    convert_conv2d_weight_memory_format,
+    convert_conv3d_weight_memory_format,
+)
 
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.nets import channels_last, create_model
+from mobilestereonet.metrics import StereoMetrics
+from mobilestereonet.nets import create_model
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.losses import cross_entropy_sum, smooth_l1_sum, trained_pixels
 from mobilestereonet.training.recipe import Recipe
 
@@ -36,7 +43,9 @@ class StereoModule(L.LightningModule):
         super().__init__()
         torch.manual_seed(recipe.seed)
         self.net = create_model(recipe.model, max_disparity=recipe.max_disparity)
-        channels_last(self.net)
+        convert_conv2d_weight_memory_format(self.net, torch.channels_last)
+        convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
+        self.val_metrics = StereoMetrics(recipe.max_disparity)
         self.recipe = recipe
         self.steps = steps
         self.lr = recipe.lr * global_batch / recipe.lr_batch
@@ -70,14 +79,17 @@ class StereoModule(L.LightningModule):
         return loss
 
     def validation_step(self, batch: StereoSample, batch_idx: int) -> None:
-        """EPE and D1 of one batch."""
-        assert batch.disparity is not None and batch.valid is not None
-        error = (self(batch.left, batch.right) - batch.disparity).abs()
-        mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
-        outlier = (error > 3) & (error > 0.05 * batch.disparity)
-        if mask.any():
-            self.log("val/epe", error[mask].mean(), batch_size=1, prog_bar=True, sync_dist=True)
-            self.log("val/d1", 100 * outlier[mask].float().mean(), batch_size=1, sync_dist=True)
+        """Score one batch; the first one's pictures go to TensorBoard."""
+        prediction = self(batch.left, batch.right).float()
+        self.val_metrics.update(prediction, batch)
+        if batch_idx == 0 and self.trainer.is_global_zero:
+            self._log_pictures(batch, prediction)
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the figures of all validation pairs, over all ranks."""
+        scores = self.val_metrics.compute()
+        self.val_metrics.reset()
+        self.log_dict(scores.figures("val/"))
 
     def configure_optimizers(self) -> Any:
         """Adam as in the paper, its learning rate by the recipe's schedule at every step."""
@@ -125,3 +137,20 @@ class StereoModule(L.LightningModule):
         self.log("train/epe", error.sum() / mask.sum().clamp_min(1), prog_bar=True)
         self.log("train/samples_per_second", rate, prog_bar=True)
         self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+
+    def _log_pictures(self, batch: StereoSample, prediction: Tensor) -> None:
+        assert batch.disparity is not None and batch.valid is not None
+        truth, valid = batch.disparity[0], batch.valid[0]
+        largest = float(truth.max())
+        panels = {
+            "left": to_picture(batch.left[0]),
+            "truth": colour_disparity(truth, largest, valid),
+            "prediction": colour_disparity(prediction[0], largest),
+            "error": error_map(prediction[0], truth, valid),
+        }
+        for logger in self.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                for name, picture in panels.items():
+                    logger.experiment.add_image(
+                        f"val/{name}", picture, self.global_step, dataformats="HWC"
+                    )

@@ -15,6 +15,7 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Subset
 
+from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.errors import InputError
@@ -84,8 +85,6 @@ class RunData(L.LightningDataModule):
         def files(options: dict[str, Any]) -> Dataset[StereoSample]:
             if self.root is None:
                 raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
-            from mobilestereonet.data import open_data_set
-
             return open_data_set(recipe.data, self.root, **options)
 
         procedural = recipe.data == "procedural"
@@ -235,7 +234,10 @@ def train(
         enable_progress_bar=progress,
         enable_model_summary=False,
         callbacks=callbacks,
-        logger=[CSVLogger(folder, "csv"), TensorBoardLogger(folder, "tensorboard")],
+        logger=[
+            CSVLogger(folder, "csv", flush_logs_every_n_steps=10),
+            TensorBoardLogger(folder, "tensorboard"),
+        ],
         plugins=[AtomicCheckpoints()],
         default_root_dir=folder,
     )
