@@ -8,11 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.blocks import initialise
+from mobilestereonet.nets.blocks import V2Block, initialise
 from mobilestereonet.nets.config import NetConfig
 from mobilestereonet.nets.cost_volumes import build_cost_volume
 from mobilestereonet.nets.disparity import regress_disparity
-from mobilestereonet.nets.features import FeatureExtraction, channel_reduction
+from mobilestereonet.nets.features import (
+    FeatureExtraction,
+    ResidualBlock,
+    channel_reduction,
+)
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
 
 SIZE_MULTIPLE = 16
@@ -81,6 +85,18 @@ class StereoNet(nn.Module):
             cast(Tensor, head(stage))
             for head, stage in zip(self.heads[first:], stages[first:], strict=True)
         ]
+
+    def zero_residuals(self) -> None:
+        """Start every residual branch at zero: the last batch norm's scale in each.
+
+        Fresh weights as the authors draw them amplify rounding some ten thousand times from input
+        to scores, so that reduced precision gives the first layers gradients of mere noise.
+        """
+        for module in self.modules():
+            if isinstance(module, ResidualBlock):
+                nn.init.zeros_(cast(nn.BatchNorm2d, module.conv2[-1]).weight)
+            elif isinstance(module, V2Block) and module.skip:
+                nn.init.zeros_(cast(nn.BatchNorm2d, module.conv[-1]).weight)
 
     def _check(self, left: Tensor, right: Tensor) -> None:
         if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
