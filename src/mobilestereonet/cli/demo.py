@@ -21,34 +21,26 @@ def demo(
     ] = None,
 ) -> None:
     """Match the real Motorcycle pair that scikit-image brings along, and score the result."""
-    import numpy as np
     import torch
-    from skimage.data import stereo_motorcycle
 
     from mobilestereonet.atomic import make_folder
-    from mobilestereonet.data.sample import StereoSample, collate
-    from mobilestereonet.inference import StereoMatcher, load_pair
+    from mobilestereonet.data.motorcycle import motorcycle
+    from mobilestereonet.data.sample import collate
+    from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.metrics import StereoMetrics
 
-    left, right, truth = stereo_motorcycle()
-    valid = np.isfinite(truth)
-    sample = StereoSample(
-        *load_pair(left, right),
-        disparity=torch.from_numpy(np.where(valid, truth, 0).astype(np.float32)),
-        valid=torch.from_numpy(valid),
-        name="motorcycle",
-    )
+    sample = motorcycle()
     matcher = StereoMatcher.from_pretrained(model, weights=weights)
     make_folder(output)
     result = matcher(sample.left, sample.right)
     files = result.save(output, sample.name)
     metrics = StereoMetrics()
     metrics.update(torch.from_numpy(result.disparity)[None], collate([sample]))
-    scores = metrics.compute().masks["all"]
+    scores = metrics.compute()
 
     print("Middlebury's Motorcycle, {width}x{height}, {model} on {runtime}".format(**result.facts))
-    print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.per_pixel))
-    print(f"over {scores.pixels} pixels with ground truth 0 < d < 192")
+    print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
+    print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
     print(f"Time {result.facts['seconds']:.2f} s, the first run's")
     print(f"Picture {files['picture']}, left view beside the disparity (blue far, red near)")
     print(f"Disparity {', '.join(str(files[kind]) for kind in ('png', 'pfm', 'npy'))}")

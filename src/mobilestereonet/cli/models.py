@@ -5,7 +5,6 @@ from __future__ import annotations
 
 def models() -> None:
     """List the named networks: which ones have weights in the package, and their parameters."""
-    import torch
     from rich.console import Console
     from rich.table import Table
 
@@ -16,9 +15,7 @@ def models() -> None:
     table = Table("name", "weights")
     table.add_column("parameters, M", justify="right")
     for name in list_models():
-        with torch.device("meta"):  # no memory, no random numbers
-            net = create_model(name)
-        parameters = sum(parameter.numel() for parameter in net.parameters())
+        parameters = sum(parameter.numel() for parameter in create_model(name).parameters())
         table.add_row(name, "embedded" if name in embedded else "", f"{parameters / 1e6:.3f}")
     Console().print(table)
     print("`msnet predict` and `msnet demo` also take sgbm, OpenCV's semi-global matching")

@@ -1,0 +1,114 @@
+"""Accuracy of every embedded network and of StereoSGBM, in one table.
+
+    python benchmarks/accuracy.py [--root DIR] [--scenes 100] [--weights FILE ...]
+
+scikit-image's Motorcycle and procedural scenes need nothing; ``--root`` holds any of the public
+data sets, each in a folder of its name and in the layout in which it ships (kitti2015, sceneflow,
+middeval3, eth3d, middlebury2003, middlebury2005, ...).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import warnings
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from mobilestereonet.data import data_sets, open_data_set
+from mobilestereonet.data.motorcycle import motorcycle
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
+from mobilestereonet.evaluation import evaluate
+from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.weights import embedded_models
+
+SYNTHETIC = ("sceneflow", "sintel", "vkitti2", "procedural")
+OPTIONS = {"sceneflow": {"split": "test", "render": "cleanpass"}}
+"""Options of the scanners where their defaults do not fit."""
+
+SCENE_SEED = 2_000_003
+"""Seed of the procedural scenes: neither training nor validation during training uses it."""
+
+
+def real_and_synthetic(root: Path | None) -> Iterable[tuple[str, Iterable[StereoSample]]]:
+    """Every data set that lies under ``root``, after the Motorcycle that is always there."""
+    yield "skimage", [replace(motorcycle(), name="motorcycle")]
+    for name in data_sets() if root else ():
+        folder = root / name
+        if folder.is_dir():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # partial copies are welcome here
+                yield name, open_data_set(name, folder, **OPTIONS.get(name, {}))
+
+
+def scenes(count: int) -> Iterable[StereoSample]:
+    """Procedural scenes at full range, of all kinds."""
+    return ProceduralScenes(SceneConfig(seed=SCENE_SEED, length=count))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
+    parser.add_argument("--scenes", type=int, default=100, help="procedural scenes")
+    parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    arguments = parser.parse_args()
+
+    matchers = {name: StereoMatcher.from_pretrained(name) for name in ["sgbm", *embedded_models()]}
+    for path in arguments.weights:
+        matchers[path.stem] = StereoMatcher.from_pretrained(weights=path)
+    sets = list(real_and_synthetic(arguments.root))
+    if arguments.scenes:
+        sets.append(("procedural", scenes(arguments.scenes)))
+
+    records = []
+    for model, matcher in matchers.items():
+        for name, samples in sets:
+            groups = [(name, samples)]
+            if name != "procedural":
+                groups = [(f"{name} {sample.name}", [sample]) for sample in samples]
+            for title, group in groups:
+                result = evaluate(matcher.disparity, group, model=model, data_name=title)
+                figures = result.scores.masks["all"].per_image
+                record = {"model": model, "set": name, "pair": title, **figures}
+                records.append(record | {"seconds": result.seconds_per_image})
+    Console(width=110).print(table(records))
+    for model in matchers:
+        print(summary(model, [record for record in records if record["model"] == model]))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(records, indent=2) + "\n")
+
+
+def table(records: list[dict]) -> Table:
+    result = Table("pair", "model", title="EPE in px, the others in %, time in s")
+    for column in ("EPE", "D1", "px-1", "px-2", "px-3", "seconds"):
+        result.add_column(column, justify="right")
+    pair = None
+    for record in sorted(records, key=lambda record: record["pair"]):
+        if pair not in (None, record["pair"]):
+            result.add_section()
+        pair = record["pair"]
+        figures = [record[key] for key in ("epe", "d1", "px-1", "px-2", "px-3", "seconds")]
+        result.add_row(pair, record["model"], *(f"{figure:.2f}" for figure in figures))
+    return result
+
+
+def summary(model: str, records: list[dict]) -> str:
+    real = [r for r in records if r["set"] not in SYNTHETIC]
+    # scikit-image's Motorcycle is one of MiddEval3's scenes: it counts only where it stands alone.
+    others = [r for r in real if r["set"] != "skimage"] or real
+    return (
+        f"{model}: {len(others)} real pairs, median D1 "
+        f"{statistics.median(r['d1'] for r in others):.2f} %, "
+        f"mean EPE {statistics.mean(r['epe'] for r in others):.2f} px"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""The real pair that comes with the package's dependencies."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from skimage.data import stereo_motorcycle
+
+from mobilestereonet.data.files import image_to_tensor
+from mobilestereonet.data.sample import StereoSample
+
+
+def motorcycle() -> StereoSample:
+    """Middlebury 2014's Motorcycle, 500 x 741, with ground truth, from scikit-image's own wheel."""
+    left, right, truth = stereo_motorcycle()  # type: ignore[no-untyped-call]
+    valid = np.isfinite(truth)
+    return StereoSample(
+        left=image_to_tensor(left),
+        right=image_to_tensor(right),
+        disparity=torch.from_numpy(np.where(valid, truth, 0).astype(np.float32)),
+        valid=torch.from_numpy(valid),
+        name="motorcycle",
+    )
