@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
 
 
@@ -25,7 +27,8 @@ class AugmentConfig:
     Attributes:
         height: Height of the random crop in pixels; None keeps the whole image.
         width: Width of the random crop in pixels; None keeps the whole image.
-        scale: Range of the logarithm (base 2) of a resizing before the crop. Disparity follows.
+        scale: Range of the logarithm (base 2) of a resizing before the crop, never below what the
+            crop needs. Disparity follows.
         vertical_shift: Largest vertical shift of the right view in pixels.
         rotation: Largest rotation of the right view about its centre in degrees.
         exposure: Range of the mean brightness (0..1) to which the pair is brought, as a camera's
@@ -81,64 +84,70 @@ def augment(
         Batch of the crop's size, images in 0..1, with disparity and masks to match.
 
     Raises:
-        InputError: If the crop is larger than the resized image.
+        InputError: If the crop is larger than the image, or pairs are scaled differently and not
+            cropped to one size.
     """
-    if config.scale != (0.0, 0.0):
-        sample = _resize(sample, 2.0 ** generators[0].uniform(*config.scale), config)
-    if config.height is not None or config.width is not None:
-        sample = _crop(sample, config, generators)
+    pairs = [
+        _frame(sample.map(itemgetter(index)), config, generator)
+        for index, generator in enumerate(generators)
+    ]
+    sample = replace(collate(pairs), name=sample.name)
     if config.vertical_shift or config.rotation:
         sample = _misalign(sample, config, generators)
     views = torch.stack((sample.left, sample.right), dim=1)  # (B, 2, 3, H, W)
     if config.exposure is not None:
         views = _expose(views, config.exposure, generators)
     views = _sensor(_colour(views, config, generators), config, generators)
+    grey = torch.tensor([g.uniform() < config.grey for g in generators], device=views.device)
+    views = torch.where(grey[:, None, None, None, None], _luminance(views), views)
     right = _patch(views[:, 1], config, generators)
     return replace(sample, left=views[:, 0], right=right)
 
 
-def _resize(sample: StereoSample, factor: float, config: AugmentConfig) -> StereoSample:
-    """Resize views smoothly and maps to the nearest pixel; disparity scales with the width."""
-    height, width = sample.left.shape[-2:]
-    # The crop must still fit: a batch has one factor, its first pair's.
-    factor = max(factor, (config.height or 1) / height, (config.width or 1) / width)
-    size = round(height * factor), round(width * factor)
-    shrink = factor < 1
-
-    def resize(value: Tensor) -> Tensor:
-        if value.dim() == 4:
-            return F.interpolate(value, size, mode="bilinear", antialias=shrink).clamp(0, 1)
-        nearest = F.interpolate(value[:, None].float(), size, mode="nearest-exact")
-        return nearest[:, 0].to(value.dtype)
-
-    resized = sample.map(resize)
-    if resized.disparity is None:
-        return resized
-    return replace(resized, disparity=resized.disparity * (size[1] / width))
-
-
-def _crop(
-    sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
+def _frame(
+    pair: StereoSample, config: AugmentConfig, generator: np.random.Generator
 ) -> StereoSample:
-    height, width = sample.left.shape[-2:]
+    """Resize and crop one pair, not batched."""
+    if config.scale != (0.0, 0.0):
+        height, width = pair.left.shape[-2:]
+        factor = 2.0 ** generator.uniform(*config.scale)
+        factor = max(factor, (config.height or 1) / height, (config.width or 1) / width)
+        pair = _resize(pair, round(height * factor), round(width * factor))
+    height, width = pair.left.shape[-2:]
     rows, columns = config.height or height, config.width or width
     if rows > height or columns > width:
         raise InputError(
             f"crop {rows} x {columns} is larger than the image {height} x {width} "
-            f"({sample.name or 'unnamed'}): choose a smaller crop"
+            f"({pair.name or 'unnamed'}): choose a smaller crop"
         )
-    tops = [int(generator.integers(height - rows + 1)) for generator in generators]
-    starts = [int(generator.integers(width - columns + 1)) for generator in generators]
+    top, start = generator.integers((height - rows + 1, width - columns + 1))
+    return pair.map(lambda value: value[..., top : top + rows, start : start + columns])
 
-    def cut(value: Tensor) -> Tensor:
-        return torch.stack(
-            [
-                image[..., top : top + rows, start : start + columns]
-                for image, top, start in zip(value, tops, starts, strict=True)
-            ]
-        )
 
-    return sample.map(cut)
+def _resize(pair: StereoSample, height: int, width: int) -> StereoSample:
+    """Resize views smoothly and masks to the nearest pixel; disparity scales with the width."""
+
+    def resize(value: Tensor, **how: Any) -> Tensor:
+        batch = value[None] if value.dim() == 3 else value[None, None]
+        resized = F.interpolate(batch.float(), (height, width), **how)
+        return resized.view(*value.shape[:-2], height, width)
+
+    def resize_any(value: Tensor) -> Tensor:
+        if value.dim() == 3:
+            return resize(value, mode="bilinear", antialias=True).clamp(0, 1)
+        return resize(value, mode="nearest-exact").to(value.dtype)
+
+    resized = pair.map(resize_any)
+    if pair.disparity is None or resized.disparity is None:
+        return resized
+    # Between two surfaces only the nearest pixel is right; on one, the nearest may be half a
+    # pixel off, which on a slanted one is a wrong disparity.
+    nearest, smooth = resized.disparity, resize(pair.disparity, mode="bilinear")
+    one_surface = (smooth - nearest).abs() < 1
+    if pair.valid is not None:
+        one_surface &= resize(pair.valid, mode="bilinear") > 0.999
+    disparity = torch.where(one_surface, smooth, nearest) * (width / pair.left.shape[-1])
+    return replace(resized, disparity=disparity)
 
 
 def _draw(
@@ -195,12 +204,11 @@ def _expose(
 def _colour(
     views: Tensor, config: AugmentConfig, generators: Sequence[np.random.Generator]
 ) -> Tensor:
-    """Brightness, contrast, saturation, hue, gamma, grey: joint, plus a share per view."""
+    """Brightness, contrast, saturation, hue, gamma: joint, plus a share per view."""
     drawn = _draw(generators, (3, 5), views)  # joint, left, right
     change = drawn[:, :1] + config.view_change * drawn[:, 1:]  # (B, 2, 5)
-    grey = torch.tensor([g.uniform() < config.grey for g in generators], device=views.device)
     limits = (config.brightness, config.contrast, config.saturation, config.hue, config.gamma)
-    if not any(limits) and not config.grey:
+    if not any(limits):
         return views
     amount = (change * views.new_tensor(limits)).flatten(0, 1)
     flat = views.flatten(0, 1)
@@ -209,8 +217,7 @@ def _colour(
 
         flat = adjust_hue(flat, amount[:, 3])
     luminance = _luminance(flat)
-    saturation = (1 + amount[:, 2]) * (~grey).repeat_interleave(2)
-    flat = luminance + (flat - luminance) * saturation[:, None, None, None]
+    flat = luminance + (flat - luminance) * (1 + amount[:, 2])[:, None, None, None]
     mean = luminance.mean(dim=(1, 2, 3), keepdim=True)
     flat = mean + (flat - mean) * (1 + amount[:, 1])[:, None, None, None]
     flat = (flat * (1 + amount[:, 0])[:, None, None, None]).clamp(0, 1)
@@ -220,7 +227,7 @@ def _colour(
 
 def _luminance(images: Tensor) -> Tensor:
     weights = images.new_tensor([0.299, 0.587, 0.114])
-    return (images * weights[:, None, None]).sum(dim=1, keepdim=True)
+    return (images * weights[:, None, None]).sum(dim=-3, keepdim=True)
 
 
 def _sensor(

@@ -7,12 +7,9 @@ number of ranks and whether the run was interrupted: that is what makes a resume
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
-from typing import Any
+from operator import itemgetter
 
 import numpy as np
-import torch
-from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
 from mobilestereonet.data.augment import AugmentConfig, augment
@@ -45,11 +42,12 @@ class TrainingPairs(Dataset[StereoSample]):
         ]
         if isinstance(self.source, ProceduralScenes):
             return augment(self.source.batch(positions), self.config, generators)
+        # One by one: pairs get one size by the crop only.
         pairs = [
             augment(collate([self.source[self._index(position)]]), self.config, [generator])
             for position, generator in zip(positions, generators, strict=True)
         ]
-        return _join(pairs)
+        return collate([pair.map(itemgetter(0)) for pair in pairs])
 
     def _index(self, position: int) -> int:
         """Every pass over the data set has an order of its own."""
@@ -57,16 +55,6 @@ class TrainingPairs(Dataset[StereoSample]):
         epoch, place = divmod(position, length)
         key = [self.seed | _ORDER, epoch]
         return int(np.random.Generator(np.random.Philox(key=key)).permutation(length)[place])
-
-
-def _join(batches: Sequence[StereoSample]) -> StereoSample:
-    """Batches of one pair each -> one batch."""
-    joined: dict[str, Any] = {}
-    for field in fields(StereoSample):
-        values = [getattr(batch, field.name) for batch in batches]
-        if all(isinstance(value, Tensor) for value in values):
-            joined[field.name] = torch.cat(values)
-    return StereoSample(**joined, name=",".join(batch.name for batch in batches))
 
 
 class PositionBatches(Sampler[list[int]]):

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_type_hints
+from types import UnionType
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -76,11 +80,21 @@ class Recipe:
                 f"a recipe needs either epochs or steps, got epochs={self.epochs} and "
                 f"steps={self.steps}"
             )
-        for name in ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every"):
-            if getattr(self, name) <= 0:
-                raise InputError(f"recipe: {name} must be positive, got {getattr(self, name)}")
+        positive = ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every")
+        for name in (*positive, "val_scenes", "epochs", "steps", "clip"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"recipe: {name} must be positive, got {value}")
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
+        if not 0 <= self.seed < 1 << 32:
+            raise InputError(f"recipe: seed must be in 0 .. 2^32 - 1, got {self.seed}")
+        shares = [0.0, *(share for share, _ in self.schedule), 1.0]
+        if not self.schedule or any(a > b for a, b in pairwise(shares)):
+            raise InputError(
+                f"recipe: schedule needs points (share, factor) with shares that rise in 0..1, "
+                f"got {self.schedule}"
+            )
 
     def lr_factor(self, share: float) -> float:
         """Factor of the learning rate after ``share`` (0..1) of the run."""
@@ -174,52 +188,52 @@ def read_recipe(path: Path) -> Recipe:
         InputError: If the file is no recipe.
     """
     try:
-        recipe = _build(Recipe, json.loads(path.read_text()))
-    except (json.JSONDecodeError, UnicodeDecodeError, TypeError, AttributeError) as error:
+        return cast(Recipe, _build(Recipe, json.loads(path.read_text("utf-8")), "recipe"))
+    except (ValueError, InputError) as error:  # ValueError: no JSON, or no text at all
         raise InputError(f"{path}: not a recipe: {error}") from None
-    assert isinstance(recipe, Recipe)
-    return recipe
 
 
-def override(recipe: Recipe, assignments: list[str]) -> Recipe:
-    """Change values of a recipe by assignments such as ``lr=5e-4`` or ``augment.noise=0.02``.
+def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
+    """Change values of a recipe, such as ``lr`` or ``augment.noise``.
 
-    Values are JSON; what is no JSON is taken as text.
+    Args:
+        recipe: The recipe.
+        values: New values by name; a point leads into a nested record.
 
     Raises:
-        InputError: If an assignment has no "=", or names no field.
+        InputError: If a name is none of the recipe's, or a value has the wrong type.
     """
-    values = dataclasses.asdict(recipe)
-    for assignment in assignments:
-        key, equals, text = assignment.partition("=")
-        if not equals:
-            raise InputError(f"{assignment!r}: an override is written key=value")
+    record = dataclasses.asdict(recipe)
+    for key, value in values.items():
         *parents, name = key.split(".")
-        target = values
+        target: Any = record
         for parent in parents:
-            target = target.get(parent, {})
-        if name not in target and not key.startswith(("data_options.", "val_options.")):
-            raise InputError(f"{key!r} is no value of a recipe: choose from {', '.join(target)}")
-        try:
-            target[name] = json.loads(text)
-        except json.JSONDecodeError:
-            target[name] = text
-    rebuilt = _build(Recipe, values)
-    assert isinstance(rebuilt, Recipe)
-    return rebuilt
+            if isinstance(target, dict) and target.get(parent) is None:
+                target[parent] = {}
+            target = target[parent] if isinstance(target, dict) else None
+        if not isinstance(target, dict):
+            raise InputError(f"recipe: there is no {key}: {parents[-1]} has no parts")
+        target[name] = value
+    return cast(Recipe, _build(Recipe, record, "recipe"))
 
 
-def _build(kind: Any, values: dict[str, Any]) -> Any:
-    """A dataclass from plain JSON values, nested dataclasses and tuples included."""
-    hints = get_type_hints(kind)
-    arguments = {
-        name: _build(hints[name], value)
-        if dataclasses.is_dataclass(hints.get(name))
-        else _tuples(value)
-        for name, value in values.items()
-    }
-    return kind(**arguments)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list | tuple) else value
+def _build(hint: Any, value: Any, name: str) -> Any:
+    """A value of the hinted type from plain JSON: dataclasses and tuples, nested."""
+    kind, members = get_origin(hint) or hint, get_args(hint)
+    if dataclasses.is_dataclass(kind) and isinstance(value, dict):
+        hints = get_type_hints(kind)
+        for key in value:
+            if key not in hints:
+                raise InputError(f"{name} has no value {key!r}, only {', '.join(hints)}")
+        return kind(**{key: _build(hints[key], item, key) for key, item in value.items()})
+    if kind in (UnionType, Union):
+        return None if value is None else _build(members[0], value, name)
+    if kind is tuple and isinstance(value, list | tuple):
+        kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
+        if len(kinds) == len(value):
+            return tuple(_build(*pair, name) for pair in zip(kinds, value, strict=True))
+    elif kind is float and type(value) is int:
+        return float(value)
+    elif isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
+        return value
+    raise InputError(f"{name} must be {hint if members else kind.__name__}, got {value!r}")
