@@ -1,4 +1,4 @@
-"""Options of a data set on the command line."""
+"""Values by name on the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mobilestereonet.errors import InputError
 
 
 def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
-    """Read options such as ``size=H`` or ``webp=true``.
+    """Read assignments such as ``size=H``, ``lr=5e-4`` or ``augment.noise=0.02``.
 
     Values are JSON; what is no JSON is taken as text.
 
@@ -21,7 +21,7 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
-            raise InputError(f"{assignment!r}: an option is written key=value")
+            raise InputError(f"{assignment!r}: write it as key=value")
         try:
             options[key] = json.loads(text)
         except json.JSONDecodeError:

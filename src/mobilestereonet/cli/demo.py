@@ -14,7 +14,7 @@ def demo(
     ),
     model: Annotated[
         str | None,
-        typer.Option(help="Network, or sgbm. [default: msnet2d, or what the weights hold]"),
+        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
     ] = None,
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")

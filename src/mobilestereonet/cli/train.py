@@ -53,6 +53,7 @@ def train(
 
     Without a data set it trains on procedural scenes, which need no download.
     """
+    from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.training.recipe import get_recipe, override, read_recipe
     from mobilestereonet.training.run import train as run
 
@@ -61,7 +62,7 @@ def train(
     else:
         chosen = get_recipe(recipe or "procedural")
     run(
-        override(chosen, assignments or []),
+        override(chosen, parse_assignments(assignments or [])),
         folder,
         root=root,
         textures=textures,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import torch
 from torch import Tensor
@@ -86,26 +86,44 @@ class StereoMatcher:
             return cls(StereoSGBM(**options), padding=padding)
         if runtime != TorchRuntime.name:
             raise InputError(f"unknown runtime {runtime!r}: there is {TorchRuntime.name}")
-        net = _load_net(model, weights)
-        engine = TorchRuntime(net, **options)
-        return cls(engine, model=_name(net.config), padding=padding)
+        if weights is None:
+            model = model or DEFAULT_MODEL
+            net = load_pretrained(model)
+        else:
+            net = load_weights(weights)
+            _check_model(model, net.config, weights)
+        return cls(TorchRuntime(net, **options), model=model or _name(net.config), padding=padding)
 
-    def __call__(self, left: View, right: View) -> StereoResult:
-        """Match one pair.
+    @overload
+    def __call__(self, left: View, right: View) -> StereoResult: ...
+
+    @overload
+    def __call__(self, left: Sequence[tuple[View, View]]) -> list[StereoResult]: ...
+
+    def __call__(self, left: Any, right: Any = None) -> Any:
+        """Match one pair, or several of one size in one run of the engine.
 
         Args:
             left: Left view: the path of an image; an array (H, W) or (H, W, 1|3|4) in RGB order,
-                uint8, uint16 or floating point in 0..1; or a tensor (3, H, W), also with a batch
-                dimension of 1. At least 2 x 2 pixels.
-            right: Right view of the same size, likewise.
+                uint8, uint16 or floating point in 0..1; or a tensor (3, H, W) or (B, 3, H, W).
+                At least 2 x 2 pixels. Or a list of (left, right) pairs of one size.
+            right: Right view of the same size, likewise; left out with a list.
 
         Returns:
-            The result, in the size of the views.
+            The result, in the size of the views; a list of results, one per pair, for a list of
+            pairs and for tensors with B above 1.
 
         Raises:
             FileNotFoundError: If a file does not exist.
             InputError: If a view is not as above, or the sizes differ.
         """
+        if right is None:
+            return self.batch(left)
+        if all(isinstance(view, Tensor) and view.ndim == 4 for view in (left, right)):
+            if len(left) != len(right):
+                raise InputError(f"batches of {len(left)} left and {len(right)} right views")
+            results = self.batch(zip(left, right, strict=True))
+            return results[0] if len(results) == 1 else results
         return self.batch([(left, right)])[0]
 
     def batch(self, pairs: Iterable[tuple[View, View]]) -> list[StereoResult]:
@@ -186,14 +204,12 @@ class StereoMatcher:
         return self.padding
 
 
-def _load_net(model: str | None, weights: str | Path | None) -> StereoNet:
-    if weights is None:
-        return load_pretrained(model or DEFAULT_MODEL)
-    net = load_weights(weights)
-    size = net.config.max_disparity
-    if model is not None and model_config(model, max_disparity=size) != net.config:
-        raise InputError(f"{weights}: holds {_name(net.config)}, not {model}: leave the model out")
-    return net
+def _check_model(model: str | None, config: NetConfig, weights: str | Path) -> None:
+    # One network may have several names, so configs are compared.
+    if model is not None and model_config(model, max_disparity=config.max_disparity) != config:
+        raise InputError(
+            f"{weights}: holds a {_name(config)} network, not {model}: leave the model out"
+        )
 
 
 def _name(config: NetConfig) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
+from statistics import median
 from typing import Any, cast
 
 import lightning as L
@@ -17,8 +19,10 @@ from torch.nn.utils import (
 )
 
 from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
-from mobilestereonet.nets import create_model
+from mobilestereonet.nets import SIZE_MULTIPLE, create_model
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
@@ -31,7 +35,8 @@ class StereoModule(L.LightningModule):
 
     A step is skipped, and counted in ``train/skipped``, when no rank has a pixel to learn from or
     when the gradient's norm (and so any loss) is not finite; the running statistics of the batch
-    norms are put back as they were.
+    norms are put back as they were. With fp16 these are also the steps whose gradients the scaler
+    finds too large.
 
     Args:
         recipe: The recipe.
@@ -53,16 +58,25 @@ class StereoModule(L.LightningModule):
         self.skipped: Tensor
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
         self._saved_buffers: list[Tensor] = []
-        self._step_started = time.monotonic()
+        self._step_ended = 0.0
+        self._seconds: deque[float] = deque(maxlen=20)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1, in eval mode."""
-        return cast(Tensor, self.net(normalise(left), normalise(right)))
+        """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1 of any size, in eval mode."""
+        height, width = left.shape[-2:]
+        size = [math.ceil(side / SIZE_MULTIPLE) * SIZE_MULTIPLE for side in (height, width)]
+        views = [pad(normalise(view), *size) for view in (left, right)]
+        return unpad(cast(Tensor, self.net(*views)), height, width)
+
+    def on_train_start(self) -> None:
+        """Start the clock."""
+        self._step_ended = time.monotonic()
 
     def training_step(self, batch: StereoSample, batch_idx: int) -> Tensor:
         """Loss of one batch; its gradient, averaged over ranks, is that of the mean over pixels."""
         self._save_buffers()
-        assert batch.disparity is not None and batch.valid is not None
+        if batch.disparity is None or batch.valid is None:
+            raise InputError(f"{batch.name} has no ground truth: choose another split to train on")
         scores = self.net.scores(normalise(batch.left), normalise(batch.right))
         mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
         with torch.autocast(self.device.type, enabled=False):
@@ -78,6 +92,21 @@ class StereoModule(L.LightningModule):
         loss = loss * ranks / pixels.clamp_min(1)
         self._log_step(loss.detach(), predictions[-1].detach(), batch, mask)
         return loss
+
+    def on_train_batch_end(self, outputs: Any, batch: StereoSample, batch_idx: int) -> None:
+        """Log the speed: the median of some steps leaves checkpoints and validation out."""
+        now = time.monotonic()
+        self._seconds.append(now - self._step_ended)
+        self._step_ended = now
+        rate = len(batch.left) * self.trainer.world_size / median(self._seconds)
+        self.log("train/samples_per_second", rate)
+        self.log("samples/s", rate, prog_bar=True, logger=False)
+
+    def on_validation_epoch_start(self) -> None:
+        """Validate one network on all ranks: batch norms that are not synchronised differ."""
+        if self.trainer.world_size > 1:
+            for buffer in self.net.buffers():
+                dist.broadcast(buffer, 0)
 
     def validation_step(self, batch: StereoSample, batch_idx: int) -> None:
         """Score one batch; the first one's pictures go to TensorBoard."""
@@ -131,12 +160,9 @@ class StereoModule(L.LightningModule):
     ) -> None:
         assert batch.disparity is not None
         error = torch.where(mask, (prediction - batch.disparity).abs(), 0)
-        now = time.monotonic()
-        rate = len(mask) * self.trainer.world_size / (now - self._step_started)
-        self._step_started = now
-        self.log("train/loss", loss, prog_bar=True)
-        self.log("train/epe", error.sum() / mask.sum().clamp_min(1), prog_bar=True)
-        self.log("train/samples_per_second", rate, prog_bar=True)
+        epe = error.sum() / mask.sum().clamp_min(1)
+        self.log_dict({"train/loss": loss, "train/epe": epe})
+        self.log_dict({"loss": loss, "EPE": epe}, prog_bar=True, logger=False)
         self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
 
     def _log_pictures(self, batch: StereoSample, prediction: Tensor) -> None:

@@ -37,7 +37,7 @@ class Recipe:
         steps: Length of the run in steps; None where ``epochs`` says it.
         lr: Learning rate of Adam at a global batch (all devices) of ``lr_batch`` pairs. It grows
             in proportion to the global batch.
-        lr_batch: The global batch that ``lr`` is meant for.
+        lr_batch: The global batch that ``lr`` is meant for (the paper's: 8 in 2D, 4 in 3D).
         schedule: Points (share of the run, factor of the learning rate), joined by lines; two
             points at one position are a jump.
         clip: Largest norm of the gradient; None does not clip.
@@ -78,7 +78,7 @@ class Recipe:
         if (self.epochs is None) == (self.steps is None):
             raise InputError(
                 f"a recipe needs either epochs or steps, got epochs={self.epochs} and "
-                f"steps={self.steps}"
+                f"steps={self.steps}: set one of them to null"
             )
         positive = ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every")
         for name in (*positive, "val_scenes", "epochs", "steps", "clip"):
@@ -92,7 +92,7 @@ class Recipe:
         shares = [0.0, *(share for share, _ in self.schedule), 1.0]
         if not self.schedule or any(a > b for a, b in pairwise(shares)):
             raise InputError(
-                f"recipe: schedule needs points (share, factor) with shares that rise in 0..1, "
+                "recipe: schedule needs points (share, factor) with shares that rise in 0..1, "
                 f"got {self.schedule}"
             )
 
@@ -194,11 +194,11 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
-    """Change values of a recipe, such as ``lr`` or ``augment.noise``.
+    """A recipe with other values.
 
     Args:
         recipe: The recipe.
-        values: New values by name; a point leads into a nested record.
+        values: New values by name, such as ``lr`` or ``augment.noise``.
 
     Raises:
         InputError: If a name is none of the recipe's, or a value has the wrong type.
@@ -225,7 +225,8 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         for key in value:
             if key not in hints:
                 raise InputError(f"{name} has no value {key!r}, only {', '.join(hints)}")
-        return kind(**{key: _build(hints[key], item, key) for key, item in value.items()})
+        parts = {key: _build(hints[key], item, key) for key, item in value.items()}
+        return cast(Any, kind)(**parts)
     if kind in (UnionType, Union):
         return None if value is None else _build(members[0], value, name)
     if kind is tuple and isinstance(value, list | tuple):

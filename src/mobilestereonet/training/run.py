@@ -3,54 +3,39 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
+from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-from lightning.pytorch.plugins.io import TorchCheckpointIO
-from torch import Tensor
+from lightning.pytorch.strategies import DDPStrategy
+from lightning.pytorch.utilities import rank_zero_info
 from torch.utils.data import DataLoader, Dataset, Subset
 
+from mobilestereonet.atomic import make_folder, write_atomically
 from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.errors import InputError
 from mobilestereonet.training.batches import PositionBatches, TrainingPairs
+from mobilestereonet.training.callbacks import (
+    AtomicCheckpoints,
+    LastCheckpoint,
+    ProgressBar,
+    TimeLimit,
+    moving_average,
+)
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.weights import load_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
-
-
-class AtomicCheckpoints(TorchCheckpointIO):
-    """Checkpoints that are whole or absent: written beside their place, then renamed."""
-
-    def save_checkpoint(
-        self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
-    ) -> None:
-        """Write ``checkpoint`` to ``path``."""
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = target.with_name(f".{target.name}.part")
-        torch.save(checkpoint, temporary)
-        temporary.replace(target)
-
-
-class CheckpointAtEnd(L.Callback):
-    """Write a checkpoint when the run ends for whatever reason, before weights are averaged."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Write it."""
-        trainer.save_checkpoint(self.path)
 
 
 class RunData(L.LightningDataModule):
@@ -119,38 +104,17 @@ class RunData(L.LightningDataModule):
         """Validation pairs one by one, shared out over the ranks."""
         assert self.trainer is not None
         ranks, rank = self.trainer.world_size, self.trainer.global_rank
-        indices = range(rank, len(self.val_source), ranks)  # type: ignore[arg-type]
+        pairs = len(self.val_source)  # type: ignore[arg-type]
+        if pairs < ranks:
+            raise InputError(f"{pairs} validation pairs are too few for {ranks} processes")
+        indices = range(rank, pairs, ranks)
         return DataLoader(
             Subset(self.val_source, indices), num_workers=self.workers, collate_fn=collate
         )
 
-    def transfer_batch_to_device(
-        self, batch: StereoSample, device: torch.device, dataloader_idx: int
-    ) -> StereoSample:
-        """Move a batch to ``device``."""
-        return batch.to(device)
-
 
 def _as_it_is(batch: Any) -> Any:
     return batch
-
-
-def moving_average(decay: float) -> WeightAveraging:
-    """Exponential moving average of the weights and of the batch norms' statistics.
-
-    The decay grows with the number of steps n as (1 + n) / (10 + n) up to ``decay``, so that the
-    first, random weights are forgotten soon. Integers are copied.
-    """
-
-    def update(averages: list[Tensor], values: list[Tensor], count: Tensor | int) -> None:
-        n = float(count)
-        rest = 1 - min(decay, (1 + n) / (10 + n))
-        if averages[0].is_floating_point():
-            torch._foreach_lerp_(averages, values, rest)
-        else:
-            torch._foreach_copy_(averages, values)
-
-    return WeightAveraging(multi_avg_fn=update)
 
 
 def train(
@@ -164,15 +128,19 @@ def train(
     max_time: str | None = None,
     precision: str = "32-true",
     accelerator: str = "auto",
-    devices: int | str = 1,
+    devices: int = 1,
     num_nodes: int = 1,
     workers: int = 0,
     progress: bool = True,
 ) -> StereoModule:
     """Train a network; write checkpoints, logs and the weights into ``folder``.
 
-    ``folder`` gets ``recipe.json``, ``last.ckpt``, ``metrics.csv``, TensorBoard's events and, at
-    the end of the run, ``weights.safetensors`` (averaged where the recipe has an average).
+    ``folder`` gets ``recipe.json``, ``last.ckpt``, ``csv/version_*/metrics.csv`` and
+    ``tensorboard`` (a version for each start) and, at the end or when time is up,
+    ``weights.safetensors`` (averaged where the recipe has an average).
+
+    On GPUs the ranks' batch norms are synchronised; on CPUs, which torch's SyncBatchNorm refuses,
+    each rank normalises its own batch, and the statistics of the first one are kept.
 
     Args:
         recipe: What to train, on what, how.
@@ -181,7 +149,8 @@ def train(
         textures: Folder of photographs for procedural scenes.
         initial: Weights to start from instead of fresh ones.
         resume: Go on from ``folder/last.ckpt``, exactly where it was written.
-        max_time: Stop, with a checkpoint, after this time, written DD:HH:MM:SS.
+        max_time: Stop, with a checkpoint, after this time, written DD:HH:MM:SS; a resumed run
+            has it again.
         precision: Lightning's precision, such as "bf16-mixed".
         accelerator: Lightning's accelerator.
         devices: Devices per node.
@@ -193,7 +162,8 @@ def train(
         The module, with the averaged weights.
 
     Raises:
-        InputError: If the folder holds another run, or none to resume.
+        InputError: If the folder holds another run, or none to resume; if the initial weights do
+            not fit; if Lightning refuses the precision, the devices or the time.
     """
     last = folder / "last.ckpt"
     if resume and not last.is_file():
@@ -201,50 +171,75 @@ def train(
     if not resume and last.exists():
         raise InputError(f"{folder} holds a run already: resume it, or choose another folder")
     data = RunData(recipe, root, textures, workers)
-    ranks = int(devices) * num_nodes if str(devices).isdigit() else 1
+    ranks = devices * num_nodes
+    if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:
+        raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
     global_batch = recipe.batch_size * ranks
     steps = recipe.steps or _steps(recipe, data, global_batch)
     module = StereoModule(recipe, steps, global_batch)
     if initial is not None:
-        module.net.load_state_dict(load_weights(initial).state_dict(), strict=False)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "recipe.json").write_text(recipe.to_json() + "\n")
-    callbacks: list[Callback] = [
-        CheckpointAtEnd(last),
-        ModelCheckpoint(
-            folder, "last", every_n_train_steps=recipe.save_every, enable_version_counter=False
-        ),
-    ]
-    if recipe.ema:
-        callbacks.append(moving_average(recipe.ema))
-    trainer = L.Trainer(
-        accelerator=accelerator,
-        devices=devices,
-        num_nodes=num_nodes,
-        precision=precision,  # type: ignore[arg-type]
-        max_steps=steps,
-        max_epochs=-1,
-        max_time=max_time,
-        val_check_interval=recipe.val_every,
-        check_val_every_n_epoch=None,
-        num_sanity_val_steps=0,
-        log_every_n_steps=10,
-        use_distributed_sampler=False,
-        sync_batchnorm=accelerator != "cpu" and ranks > 1,
-        enable_progress_bar=progress,
-        enable_model_summary=False,
-        callbacks=callbacks,
-        logger=[
-            CSVLogger(folder, "csv", flush_logs_every_n_steps=10),
-            TensorBoardLogger(folder, "tensorboard"),
-        ],
-        plugins=[AtomicCheckpoints()],
-        default_root_dir=folder,
-    )
+        _load_initial(module, initial)
+    cuda = accelerator != "cpu" and torch.cuda.is_available()
+    average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
+    make_folder(folder)
+    try:
+        callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every), TimeLimit(max_time)]
+        callbacks += [average] if average else []
+        callbacks += [ProgressBar()] if progress else []
+        trainer = L.Trainer(
+            accelerator=accelerator,
+            devices=devices,
+            num_nodes=num_nodes,
+            # Batch norms are synchronised, or differ on purpose; and one broadcast per forward
+            # pass would hang in validation where ranks have different numbers of pairs.
+            strategy=DDPStrategy(broadcast_buffers=False) if ranks > 1 else "auto",
+            sync_batchnorm=cuda and ranks > 1,
+            precision=precision,  # type: ignore[arg-type]
+            max_steps=steps,
+            max_epochs=-1,
+            val_check_interval=recipe.val_every,
+            check_val_every_n_epoch=None,
+            num_sanity_val_steps=0,
+            log_every_n_steps=10,
+            use_distributed_sampler=False,
+            enable_progress_bar=progress,
+            enable_model_summary=False,
+            callbacks=callbacks,
+            logger=[
+                CSVLogger(folder, "csv", flush_logs_every_n_steps=10),
+                TensorBoardLogger(folder, "tensorboard"),
+            ],
+            plugins=[AtomicCheckpoints()],
+            default_root_dir=folder,
+        )
+    except (MisconfigurationException, ValueError) as error:
+        raise InputError(f"Lightning refuses these settings: {error}") from None
+    text = recipe.to_json() + "\n"
+    write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
+    if global_batch != recipe.lr_batch:
+        rank_zero_info(
+            f"Learning rate scaled by the global batch: {recipe.lr:g} x {global_batch} / "
+            f"{recipe.lr_batch} = {module.lr:g}"
+        )
+    # Lightning cannot know that our batches go on where the checkpoint was written.
+    warnings.filterwarnings("ignore", ".*your dataloader is not resumable")
     trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=False)
+    if average is not None:
+        # Lightning does it as well, but not where a resumed run had no step left.
+        average.on_train_end(trainer, module)
     if trainer.is_global_zero:
         save_weights(module.net, folder / "weights.safetensors")
     return module
+
+
+def _load_initial(module: StereoModule, path: Path) -> None:
+    try:
+        module.net.load_state_dict(load_weights(path).state_dict())
+    except RuntimeError:  # keys or shapes
+        raise InputError(
+            f"{path}: its weights do not fit {module.recipe.model} with max_disparity = "
+            f"{module.recipe.max_disparity}"
+        ) from None
 
 
 def _steps(recipe: Recipe, data: RunData, global_batch: int) -> int:

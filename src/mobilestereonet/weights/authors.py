@@ -89,8 +89,8 @@ def load_authors_checkpoint(path: str | Path) -> StereoNet:
     if missing or unknown:
         example = min(missing or unknown)
         raise InputError(
-            f"{path}: not the authors' {name.removesuffix('-authors')}: {len(missing)} keys missing, "
-            f"{len(unknown)} unknown, such as {example!r}"
+            f"{path}: not the authors' {name.removesuffix('-authors')}: {len(missing)} keys "
+            f"missing, {len(unknown)} unknown, such as {example!r}"
         )
     try:
         net.load_state_dict({ours: state[theirs] for theirs, ours in expected.items()})

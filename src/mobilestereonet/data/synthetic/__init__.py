@@ -14,7 +14,7 @@ from torch.utils.data import Dataset
 from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.data.synthetic.layout import Builder, Scene
 from mobilestereonet.data.synthetic.places import PLACES
-from mobilestereonet.data.synthetic.render import render
+from mobilestereonet.data.synthetic.render import render_scenes
 from mobilestereonet.data.synthetic.textures import (
     MASKS,
     NOISE,
@@ -167,7 +167,7 @@ class ProceduralScenes(Dataset[StereoSample]):
         scenes = [self.layout(int(index)) for index in indices]
         config = self.config
         with torch.no_grad():
-            images, disparity, occluded = render(
+            images, disparity, occluded = render_scenes(
                 scenes, (config.height, config.width), config.rays, self._bank, self._masks
             )
         valid = disparity > 0

@@ -70,12 +70,14 @@ class Scene:
         cx: Column of the principal point.
         cy: Row of the principal point.
         baseline: Distance of the cameras, in metres.
-        light: Position of the light in the camera's frame, in metres.
+        light: Position of the lamp in the camera's frame, in metres.
+        focus: Middle of the region in which the lamp casts shadows, in the camera's frame.
+        spread: Radius of that region, in metres.
         ambient: Light that comes from everywhere.
         diffuse: Light of the lamp, before falloff.
         reach: Distance in metres at which the lamp is half as bright.
         shininess: Exponent of the highlights.
-        brightness: Mean of the finished images, as an automatic exposure would set it.
+        brightness: Geometric mean of the images, as an automatic exposure would set it.
         surfaces: What there is to see.
         kind: Name of the layout.
     """
@@ -85,6 +87,8 @@ class Scene:
     cy: float
     baseline: float
     light: Floats
+    focus: Floats
+    spread: float
     ambient: float
     diffuse: float
     reach: float
@@ -92,11 +96,6 @@ class Scene:
     brightness: float
     surfaces: Surfaces
     kind: str
-
-    def light_row(self) -> list[float]:
-        """Light and camera as the shader takes them."""
-        lamp = [*self.light, self.ambient, self.diffuse, self.reach**2, self.shininess]
-        return [*lamp, self.focal, self.cx, self.cy, self.baseline]
 
 
 @dataclass
@@ -157,7 +156,7 @@ class Builder:
         self.near, self.nearest = near, nearest
         self.noise, self.photographs, self.masks = noise, photographs, masks
         # A long focal length with a principal point off the centre is a crop of a wide image.
-        zoom = self.log_uniform(0.6, 2.2)
+        zoom = self.log_uniform(0.55, 1.8)
         self.focal = zoom * self.width
         shift = 0.12 + 0.2 * max(0.0, zoom - 0.8)
         self.cx = self.width * (0.5 + shift * rng.uniform(-1, 1))
@@ -169,6 +168,7 @@ class Builder:
         tilt = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
         cos, sin = np.cos(roll), np.sin(roll)
         self.rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt
+        self.lamp: Floats | None = None  # in the world frame; drawn if a layout sets none
         self.parts: list[Surfaces] = []
 
     def log_uniform(self, low: float, high: float, size: Any = None) -> Any:
@@ -186,7 +186,7 @@ class Builder:
         noise = rng.integers(0, self.noise, count)
         if kind is not None:
             noise = np.minimum(kind + len(NOISE) * rng.integers(0, cycles, count), self.noise - 1)
-        chance = 0.0 if not self.photographs else 0.75 if kind is None else 0.25
+        chance = 0.0 if not self.photographs else 0.75 if kind is None else 0.5
         photograph = self.noise + rng.integers(0, max(self.photographs, 1), count)
         texture = np.where(rng.random(count) < chance, photograph, noise)
         strength = rng.random(count)
@@ -309,11 +309,12 @@ class Builder:
     def finish(self, kind: str, outdoors: bool) -> Scene:
         """The scene, under a light that suits it."""
         rng = self.rng
-        far = 300.0 if outdoors else self.log_uniform(0.5, 2.5) * self.near
+        far = 300.0 if outdoors else self.log_uniform(1.0, 3.0) * self.near
         towards = rng.normal(size=3) * [1.0, 0.4, 0.7] + [0, -0.9, -0.6]
-        light = self.rotation @ (towards / np.linalg.norm(towards) * far)
-        if not outdoors:
-            light += [0, 0, self.near]
+        focus = np.array([0, 0, 2.5 * self.near])
+        light = focus + self.rotation @ (towards / np.linalg.norm(towards) * far)
+        if self.lamp is not None:
+            light = self.rotation @ self.lamp
         joined = {
             field.name: np.concatenate([getattr(part, field.name) for part in self.parts])
             for field in fields(Surfaces)
@@ -324,11 +325,13 @@ class Builder:
             cy=self.cy,
             baseline=self.baseline,
             light=light,
-            ambient=rng.uniform(0.35, 0.8),
-            diffuse=rng.uniform(0.2, 0.9),
+            focus=focus,
+            spread=2.5 * self.near,
+            ambient=rng.uniform(0.3, 0.7),
+            diffuse=rng.uniform(0.3, 1.0),
             reach=1e4 if outdoors else far * self.log_uniform(1.5, 8),
             shininess=self.log_uniform(4, 60),
-            brightness=rng.uniform(0.25, 0.55),
+            brightness=rng.uniform(0.16, 0.45),
             surfaces=Surfaces(**joined),
             kind=kind,
         )

@@ -256,7 +256,7 @@ def room(build: Builder) -> None:
     )
 
     def floor_points(count: int, edge: float) -> tuple[Floats, Floats]:
-        """Points on the floor, no nearer than ``near`` and towards the walls as ``edge`` goes to 1."""
+        """Points on the floor beyond ``near``; towards the walls as ``edge`` goes to 1."""
         across = np.sign(rng.uniform(-1, 1, count)) * rng.uniform(edge, 0.93, count) * wide
         along = rng.uniform(-0.4, 0.9, count) * half
         points = middle + below * down + across[:, None] * right + along[:, None] * ahead
@@ -272,17 +272,11 @@ def room(build: Builder) -> None:
     _shelves(build, at, yaw)
     at, _ = floor_points(int(rng.integers(5, 14)), 0.2)
     _standing(build, at, rng.uniform(0.2, 1.7, len(at)), rng.uniform(0.2, 0.9, len(at)))
-    lamps = (
-        middle
-        - (above - 0.4) * down
-        + rng.uniform(-1, 1, (2, 1)) * right
-        + rng.uniform(-1, 1, (2, 1)) * ahead
-    )
-    build.quadrics(
-        lamps,
-        _sized(np.tile(UPRIGHT, (2, 1, 1)), np.full((2, 3), 0.2)),
-        build.material(2, build.depth(lamps)),
-    )
+    aside = rng.uniform(-0.4, 0.4, 2)
+    build.lamp = middle - (above - 0.5) * down + aside[0] * wide * right + aside[1] * half * ahead
+    shade = (build.lamp - 0.3 * down)[None]
+    size = np.full((1, 3), 0.2)
+    build.quadrics(shade, _sized(UPRIGHT[None], size), build.material(1, build.depth(shade)))
     floaters(build, int(rng.integers(0, 9)), 0.3 * build.nearest, build.nearest)
 
 

@@ -31,54 +31,47 @@ class TextureBank:
         """Build the levels of ``images`` (N, S, S, 3); S is a power of two."""
         count, size = images.shape[:2]
         self.size = size
-        levels, level = [], torch.from_numpy(images).permute(0, 3, 1, 2)
-        while True:
-            four = torch.zeros(count, level.shape[-2], level.shape[-1], 4, dtype=torch.uint8)
-            four[..., :3] = level.permute(0, 2, 3, 1)
-            levels.append(four.view(torch.int32).view(count, -1))
-            if level.shape[-1] == 1:
-                break
-            level = torch.cat(
-                [
-                    torch.nn.functional.avg_pool2d(part.float(), 2).round().to(torch.uint8)
-                    for part in level.split(16)
-                ]
-            )
-        self.means = (level[:, :, 0, 0].float() / 255).to(device)
-        self.pixels = torch.cat(levels, 1).view(-1).to(device)
-        self.texels = sum(part.shape[1] for part in levels)
-        sizes = [part.shape[1] for part in levels]
-        self.starts = torch.tensor(np.cumsum([0, *sizes[:-1]]), device=device)
+        sizes = [(size >> level) ** 2 for level in range(size.bit_length())]
+        self.starts = torch.tensor(np.cumsum([0, *sizes[:-1]]), dtype=torch.int32, device=device)
+        self.texels = sum(sizes)
+        pixels = np.zeros((count, self.texels, 4), dtype=np.uint8)
+        for levels, image in zip(pixels, images, strict=True):
+            start = 0
+            for texels in sizes:
+                levels[start : start + texels, :3] = image.reshape(-1, 3)
+                start += texels
+                half = (max(1, len(image) // 2),) * 2
+                image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
+        self.means = torch.from_numpy(pixels[:, -1, :3].astype(np.float32) / 255).to(device)
+        self.pixels = torch.from_numpy(pixels.view(np.int32).ravel()).to(device)
         self.noise = noise
         self.photographs = count - noise
 
     def sample(self, texture: Tensor, x: Tensor, y: Tensor, level: Tensor) -> Tensor:
-        """Bilinear colour 0..255, (n, 4), at texels (x, y) of the nearest level, all (n,)."""
-        last = len(self.starts) - 1
-        rounded = level.round().clamp(0, last).long()
-        size = self.size >> rounded
-        scale = torch.exp2(-rounded.float())
-        start = texture * self.texels + self.starts[rounded]
+        """Bilinear colour 0..255, (3, n), at texels (x, y) of the nearest mip level, all (n,)."""
+        level = level.round().clamp(0, len(self.starts) - 1)
+        scale = torch.exp2(-level)
+        level = level.int()
+        size = self.size >> level
         x, y = x * scale - 0.5, y * scale - 0.5
         left, top = x.floor(), y.floor()
-        fx, fy = (x - left)[:, None], (y - top)[:, None]
-        wrap = 2 * size - 1
+        x, y = x - left, y - top
+        last = 2 * size - 1
 
         def mirrored(position: Tensor) -> Tensor:
-            position = position & wrap
-            return torch.minimum(position, wrap - position)
+            position = position & last
+            return torch.minimum(position, last - position)
 
-        ix, iy = left.long(), top.long()
-        columns = (mirrored(ix), mirrored(ix + 1))
-        rows = (start + mirrored(iy) * size, start + mirrored(iy + 1) * size)
-
-        def fetch(row: Tensor, column: Tensor) -> Tensor:
-            packed = self.pixels.index_select(0, row + column)
-            return packed.view(torch.uint8).view(-1, 4).float()
-
-        upper = torch.lerp(fetch(rows[0], columns[0]), fetch(rows[0], columns[1]), fx)
-        lower = torch.lerp(fetch(rows[1], columns[0]), fetch(rows[1], columns[1]), fx)
-        return torch.lerp(upper, lower, fy)
+        column, row = left.int(), top.int()
+        columns = mirrored(column), mirrored(column + 1)
+        rows = mirrored(row) * size, mirrored(row + 1) * size
+        # int64: a large bank has more texels than fit in int32.
+        start = texture * self.texels + self.starts.index_select(0, level)
+        taps = torch.stack(
+            [self.pixels.index_select(0, start + (i + j)) for i in rows for j in columns]
+        )
+        weights = torch.stack([i * j for i in (1 - y, y) for j in (1 - x, x)])
+        return torch.stack([(((taps >> shift) & 255) * weights).sum(0) for shift in (0, 8, 16)])
 
 
 def read_photographs(folder: Path, size: int) -> NDArray[np.uint8]:

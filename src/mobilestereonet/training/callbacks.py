@@ -1,0 +1,79 @@
+"""What Lightning does in a run beside the steps: checkpoints, average, time limit, bar."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Checkpoint, Timer, TQDMProgressBar, WeightAveraging
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+from torch import Tensor
+
+
+class AtomicCheckpoints(TorchCheckpointIO):
+    """Checkpoints that are whole or absent: written beside their place, then renamed."""
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
+    ) -> None:
+        """Write ``checkpoint`` to ``path``."""
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = target.with_name(f".{target.name}.part")
+        torch.save(checkpoint, temporary)
+        temporary.replace(target)
+
+
+class LastCheckpoint(Checkpoint):
+    """Write a checkpoint every so many steps, at the last one, and when time is up.
+
+    Lightning calls checkpoints after all other callbacks: the moving average is up to date.
+    """
+
+    def __init__(self, path: Path, every: int) -> None:
+        self.path = path
+        self.every = every
+
+    def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
+        """Write it, if it is time."""
+        step = trainer.global_step
+        if step % self.every == 0 or step >= trainer.max_steps or trainer.should_stop:
+            trainer.save_checkpoint(self.path, weights_only=False)
+
+
+class TimeLimit(Timer):
+    """Stop after some time; what a resumed run took before does not count."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Start from zero."""
+
+
+class ProgressBar(TQDMProgressBar):
+    """Lightning's bar, which would not know the length of a resumed run."""
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Begin at the current step."""
+        super().on_train_start(trainer, pl_module)
+        self.train_progress_bar.reset(trainer.max_steps)
+        self.train_progress_bar.initial = trainer.global_step
+
+
+def moving_average(decay: float, device: str) -> WeightAveraging:
+    """Exponential moving average of the weights and of the batch norms' statistics.
+
+    The decay grows with the number of steps n as (1 + n) / (10 + n) up to ``decay``, so that the
+    first, random weights are forgotten soon. Integers are copied.
+    """
+
+    def update(averages: list[Tensor], values: list[Tensor], count: Tensor | int) -> None:
+        n = float(count)
+        rest = 1 - min(decay, (1 + n) / (10 + n))
+        if averages[0].is_floating_point():
+            torch._foreach_lerp_(averages, values, rest)
+        else:
+            torch._foreach_copy_(averages, values)
+
+    return WeightAveraging(device, multi_avg_fn=update)

@@ -1,0 +1,183 @@
+"""The commands predict, demo and models, as a user runs them."""
+
+import json
+import re
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from skimage.data import stereo_motorcycle
+
+from mobilestereonet import StereoMatcher, create_model, save_weights
+from mobilestereonet.cli.main import main
+from mobilestereonet.runtimes.torch import TorchRuntime
+from mobilestereonet.weights import files
+
+
+@pytest.fixture
+def msnet(monkeypatch, capsys):
+    """Runs the command line; gives exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    torch.manual_seed(1)
+    path = tmp_path_factory.mktemp("weights") / "msnet2d.safetensors"
+    save_weights(create_model("msnet2d", max_disparity=32), path)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path, weights):
+    """A folder with everything that a bad command may name."""
+    left, right = np.random.default_rng(0).integers(0, 256, (2, 20, 40, 3), dtype=np.uint8)
+    images = {
+        "left.png": left,
+        "right.png": right,
+        "wide.png": np.zeros((20, 48, 3), np.uint8),
+        "line.png": np.zeros((1, 40, 3), np.uint8),
+        "column.png": np.zeros((20, 1, 3), np.uint8),
+        "nan.tiff": np.full((20, 40, 3), np.nan, np.float32),
+    }
+    for name, image in images.items():
+        assert cv2.imwrite(str(tmp_path / name), image)
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "cut.png").write_bytes((tmp_path / "left.png").read_bytes()[:100])
+    (tmp_path / "text.txt").write_text("no image\n")
+    whole = weights.read_bytes()
+    (tmp_path / "net.safetensors").write_bytes(whole)
+    (tmp_path / "cut.safetensors").write_bytes(whole[:-1000])
+    (tmp_path / "cut.pth").write_bytes(whole[:1000])
+    save_file({"weight": torch.zeros(3)}, tmp_path / "foreign.safetensors")
+    torch.save({"weight": torch.zeros(3)}, tmp_path / "foreign.pth")
+    return tmp_path
+
+
+def tree(folder):
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
+def test_predict_writes_what_the_library_gives(msnet, folder):
+    before = tree(folder)
+    left, right, output = folder / "left.png", folder / "right.png", folder / "a" / "b"
+    net = folder / "net.safetensors"
+    code, out, err = msnet("predict", left, right, "-o", output, "--weights", net, "--json")
+    assert (code, err) == (0, "")
+    facts = json.loads(out)
+    assert (facts["model"], facts["runtime"]) == ("msnet2d", "torch")
+    assert (facts["width"], facts["height"]) == (40, 20)
+    assert facts["seconds"] > 0
+    files = [f"left_{end}" for end in ("disparity.png", "disparity.pfm", "disparity.npy")]
+    assert sorted(facts["files"].values()) == sorted(
+        str(output / name) for name in [*files, "left_picture.png"]
+    )
+    expected = StereoMatcher.from_pretrained(weights=net)(left, right).disparity
+    np.testing.assert_allclose(np.load(facts["files"]["npy"]), expected, rtol=0, atol=1e-3)
+    levels = cv2.imread(facts["files"]["png"], cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(levels / 256, expected, rtol=0, atol=1 / 256)
+    assert cv2.imread(facts["files"]["picture"]).shape[1] > 80
+    after = tree(folder)
+    assert {path: after[path] for path in before} == before
+
+
+def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weights, monkeypatch):
+    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
+    before = tree(folder)
+    code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
+    assert code == 0
+    assert "msnet2d on torch, 40x20" in out
+    for line in out.splitlines()[1:]:
+        assert line.startswith(str(folder / "left_"))
+    after = tree(folder)
+    assert {path: after[path] for path in before} == before
+    assert len(after) == len(before) + 4
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"left": "absent.png"}, "absent.png: no such file"),
+        ({"right": "absent.png"}, "absent.png: no such file"),
+        ({"left": "text.txt"}, "text.txt: not an image"),
+        ({"right": "empty.png"}, "empty.png: not an image"),
+        ({"right": "cut.png"}, "cut.png: "),
+        ({"right": "wide.png"}, "left.png has 40x20, .*wide.png has 48x20"),
+        ({"left": "line.png", "right": "line.png"}, "line.png: .*2x2 pixels, got 40x1"),
+        ({"left": "column.png", "right": "column.png"}, "column.png: .*2x2 pixels, got 1x20"),
+        ({"left": "nan.tiff"}, "nan.tiff: .*nan"),
+        ({"--model": "raft"}, "unknown model 'raft'"),
+        ({"--model": "baseline3d", "--weights": None}, "no weights of 'baseline3d'"),
+        ({"--model": "msnet3d"}, "net.safetensors: holds a msnet2d network, not msnet3d"),
+        ({"--model": "sgbm"}, "sgbm has no weights"),
+        ({"--weights": "absent.safetensors"}, "absent.safetensors: no such weights file"),
+        ({"--weights": "cut.safetensors"}, "cut.safetensors: not a whole safetensors file"),
+        ({"--weights": "foreign.safetensors"}, "foreign.safetensors: .*no network config"),
+        ({"--weights": "left.png"}, "left.png: not a whole safetensors file"),
+        ({"--weights": "cut.pth"}, "cut.pth: not a readable PyTorch checkpoint"),
+        ({"--weights": "foreign.pth"}, "foreign.pth: not the authors'"),
+        ({"-o": "text.txt"}, "text.txt: no files can be written there"),
+        ({"-o": "text.txt/below"}, "text.txt/below: no files can be written there"),
+    ],
+)
+def test_bad_input_ends_with_one_line_and_writes_nothing(
+    msnet, folder, weights, monkeypatch, change, message
+):
+    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
+    monkeypatch.setattr(TorchRuntime, "__call__", lambda *_: pytest.fail("the network was run"))
+    before = tree(folder)
+    good = {"left": "left.png", "right": "right.png", "-o": "new", "--weights": "net.safetensors"}
+    chosen = {key: value for key, value in (good | change).items() if value is not None}
+    named = {key: v if key == "--model" else folder / v for key, v in chosen.items()}
+    options = [text for key in named if key.startswith("-") for text in (key, named[key])]
+    code, out, err = msnet("predict", named["left"], named["right"], *options)
+    assert code == 2
+    assert out == ""
+    assert re.fullmatch(rf"msnet: .*{message}.*\n", err)
+    assert tree(folder) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc, where even root cannot write")
+def test_unwritable_folder_is_found_before_the_network_runs(msnet, folder, monkeypatch):
+    monkeypatch.setattr(TorchRuntime, "__call__", lambda *_: pytest.fail("the network was run"))
+    pair = folder / "left.png", folder / "right.png"
+    net = folder / "net.safetensors"
+    for place in ("/proc", "/proc/new"):
+        code, _, err = msnet("predict", *pair, "-o", place, "--weights", net)
+        assert code == 2
+        assert err.startswith(f"msnet: {place}: no files can be written there")
+
+
+def test_demo_scores_the_motorcycle(msnet, tmp_path):
+    code, out, _ = msnet("demo", "-o", tmp_path, "--model", "sgbm")
+    assert code == 0
+    *_, truth = stereo_motorcycle()
+    known = np.isfinite(truth) & (truth > 0) & (truth < 192)
+    error = np.abs(np.load(tmp_path / "motorcycle_disparity.npy") - truth)[known]
+    d1 = 100 * np.mean((error > 3) & (error > 0.05 * truth[known]))
+    figures = f"EPE {error.mean():.3f} px, D1 {d1:.2f} %, px-3 {100 * np.mean(error > 3):.2f} %"
+    assert figures in out
+    assert f"over {known.sum()} pixels" in out
+    assert re.search(r"Time \d+\.\d\d s", out)
+    assert str(tmp_path / "motorcycle_picture.png") in out
+    picture = cv2.imread(str(tmp_path / "motorcycle_picture.png"))
+    assert picture.shape[0] == 500
+    assert picture.shape[1] > 2 * 741
+
+
+def test_models_are_listed(msnet, weights, monkeypatch):
+    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
+    code, out, _ = msnet("models")
+    assert code == 0
+    assert re.search(r"msnet2d\W+embedded\W+2\.353", out)
+    assert re.search(r"table3b-v1-v2\W+1\.011", out)

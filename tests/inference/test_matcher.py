@@ -1,0 +1,234 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
+from mobilestereonet.inference import load_pair
+from mobilestereonet.weights import files
+
+SMALL = {"max_disparity": 32}
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class Recorder:
+    """A runtime that notes what it is given and tells each pixel's place in it."""
+
+    name = "recorder"
+    normalised = True
+    multiple = 16
+
+    def __call__(self, left, right):
+        self.left, self.right = left, right
+        rows = torch.arange(left.shape[-2], dtype=torch.float32)[:, None]
+        place = 1000 * rows + torch.arange(left.shape[-1], dtype=torch.float32)
+        return place.expand(len(left), *place.shape)
+
+
+@pytest.fixture(scope="module")
+def net():
+    torch.manual_seed(0)
+    return create_model("msnet2d", **SMALL)
+
+
+@pytest.fixture(scope="module")
+def matcher(net):
+    return StereoMatcher(net)
+
+
+def random_pair(height, width, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (2, height, width, 3), dtype=np.uint8)
+
+
+def test_engine_gets_normalised_views_padded_with_zeros_above_and_on_the_right():
+    recorder = Recorder()
+    left = np.full((30, 50, 3), (255, 0, 51), np.uint8)
+    result = StereoMatcher(recorder)(left, np.zeros_like(left))
+    assert recorder.left.shape == recorder.right.shape == (1, 3, 32, 64)
+    for channel, value in enumerate((1.0, 0.0, 0.2)):
+        expected = (value - MEAN[channel]) / STD[channel]
+        torch.testing.assert_close(
+            recorder.left[0, channel, 2:, :50], torch.full((30, 50), expected), rtol=0, atol=1e-6
+        )
+    assert not recorder.left[..., :2, :].any()
+    assert not recorder.left[..., 50:].any()
+    # The first pixel of the result was the first of the third row.
+    assert result.disparity.shape == (30, 50)
+    assert result.disparity[0, 0] == 2000
+    assert result.disparity[-1, -1] == 31_049
+
+
+def test_engine_may_take_raw_views_of_any_size():
+    recorder = Recorder()
+    recorder.normalised, recorder.multiple = False, 1
+    left, right = random_pair(30, 50)
+    StereoMatcher(recorder)(left, right)
+    assert recorder.right.equal(torch.from_numpy(right).permute(2, 0, 1)[None] / 255)
+
+
+def test_padding_to_a_given_size():
+    recorder = Recorder()
+    matcher = StereoMatcher(recorder, padding=(64, 96))
+    assert matcher(*random_pair(30, 50)).disparity[0, 0] == 34_000
+    assert recorder.left.shape[-2:] == (64, 96)
+    with pytest.raises(InputError, match=r"65 x 50 .* larger than the padding to 64 x 96"):
+        matcher(*random_pair(65, 50))
+
+
+def test_result_is_the_networks(net, matcher):
+    left, right = (torch.rand(1, 3, 32, 64) for _ in range(2))
+    mean, std = (torch.tensor(v)[:, None, None] for v in (MEAN, STD))
+    net.eval()
+    with torch.no_grad():
+        expected = net((left - mean) / std, (right - mean) / std)
+    torch.testing.assert_close(matcher.disparity(left, right), expected, rtol=0, atol=1e-3)
+    result = matcher(left, right)
+    np.testing.assert_allclose(result.disparity, expected[0].numpy(), rtol=0, atol=1e-3)
+    assert result.valid.all()
+    facts = result.facts
+    assert (facts["model"], facts["width"], facts["height"]) == ("msnet2d", 64, 32)
+    assert facts["seconds"] > 0
+
+
+@pytest.mark.parametrize("size", [(2, 2), (2, 40), (40, 2), (17, 31), (33, 16)])
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_any_size(name, size):
+    result = StereoMatcher(create_model(name, **SMALL))(*random_pair(*size))
+    assert result.disparity.shape == result.valid.shape == result.left.shape[:2] == size
+    assert result.disparity.dtype == np.float32
+    assert result.valid.dtype == bool
+    assert 0 <= result.disparity.min() <= result.disparity.max() <= 31
+
+
+def test_every_form_of_a_view_gives_the_same(matcher, tmp_path):
+    left, right = random_pair(20, 40)
+    expected = matcher(left, right).disparity
+
+    def as_file(image, name):
+        cv2.imwrite(str(tmp_path / name), image[..., ::-1])
+        return tmp_path / name
+
+    def with_alpha(image):
+        return np.dstack((image, np.full(image.shape[:2], 7, np.uint8)))
+
+    def as_tensor(image):
+        return torch.from_numpy(image).permute(2, 0, 1) / 255
+
+    forms = [
+        (as_file(left, "l.png"), str(as_file(right, "r.png"))),
+        (with_alpha(left), with_alpha(right)),
+        (left.astype(np.uint16) * 257, right.astype(np.uint16) * 257),
+        (left.astype(np.float32) / 255, right.astype(np.float64) / 255),
+        (as_tensor(left), as_tensor(right)[None]),
+        (left[::-1].copy()[::-1], right),  # negative strides
+    ]
+    for form in forms:
+        np.testing.assert_allclose(matcher(*form).disparity, expected, rtol=0, atol=1e-3)
+
+
+def test_grey_is_three_equal_channels(matcher):
+    left, right = random_pair(20, 40)[..., :1]
+    expected = matcher(left.repeat(3, axis=2), right.repeat(3, axis=2))
+    for form in ((left, right), (left[..., 0], right[..., 0])):
+        result = matcher(*form)
+        np.testing.assert_array_equal(result.disparity, expected.disparity)
+        np.testing.assert_array_equal(result.left, left.repeat(3, axis=2))
+
+
+def test_batch(matcher):
+    pairs = [random_pair(20, 40, seed) for seed in range(3)]
+    results = matcher.batch(pairs)
+    assert len(results) == 3
+    for (left, right), result in zip(pairs, results, strict=True):
+        np.testing.assert_array_equal(result.left, left)
+        np.testing.assert_allclose(
+            result.disparity, matcher(left, right).disparity, rtol=0, atol=1e-3
+        )
+    lefts, rights = (
+        torch.from_numpy(np.stack(views)).permute(0, 3, 1, 2) / 255
+        for views in zip(*pairs, strict=True)
+    )
+    for others in (matcher(lefts, rights), matcher(pairs)):
+        for result, other in zip(results, others, strict=True):
+            np.testing.assert_allclose(result.disparity, other.disparity, rtol=0, atol=1e-3)
+    assert matcher.batch([]) == []
+    with pytest.raises(InputError, match="one size, got 40x20, 41x20"):
+        matcher.batch([random_pair(20, 40), random_pair(20, 41)])
+    with pytest.raises(InputError, match="3 left and 2 right"):
+        matcher(lefts, rights[:2])
+
+
+@pytest.mark.parametrize(
+    ("view", "message"),
+    [
+        (np.zeros((0, 0, 3), np.uint8), r"left view: .*\(0, 0, 3\)"),
+        (np.zeros((20, 0), np.uint8), r"\(20, 0, 1\)"),
+        (np.zeros((1, 40, 3), np.uint8), "at least 2x2 pixels, got 40x1"),
+        (np.zeros((20, 1), np.uint8), "at least 2x2 pixels, got 1x20"),
+        (np.zeros((3, 20, 40), np.uint8), r"\(3, 20, 40\)"),
+        (np.zeros((20, 40, 3), np.int64), "int64"),
+        (np.zeros((20, 40, 3), bool), "bool"),
+        (np.full((20, 40, 3), 255.0), "0..1, got 255"),
+        (np.full((20, 40), -0.1), "0..1, got -0.1"),
+        (np.full((20, 40), np.nan), "nan"),
+        (np.full((20, 40), np.inf), "inf"),
+        (torch.full((3, 20, 40), torch.nan), "nan"),
+        (torch.full((3, 20, 40), 2.0), "0..1, got 2"),
+        (torch.zeros(20, 40), r"\(3, H, W\), got \(20, 40\)"),
+        (torch.zeros(3, 0, 40), r"\(0, 40, 3\)"),
+        ("absent.png", "absent.png"),
+    ],
+)
+def test_bad_views_are_named(matcher, view, message):
+    error = FileNotFoundError if isinstance(view, str) else InputError
+    with pytest.raises(error, match=message):
+        matcher(view, view)
+
+
+def test_one_bad_value_is_enough():
+    left, right = np.zeros((2, 20, 40), np.float32)
+    right[7, 9] = np.nan
+    with pytest.raises(InputError, match="right view"):
+        load_pair(left, right)
+
+
+def test_two_sizes_are_both_named(matcher):
+    with pytest.raises(InputError, match="left view has 40x20, right view has 48x24"):
+        matcher(random_pair(20, 40)[0], random_pair(24, 48)[1])
+    with pytest.raises(InputError, match=r"\(1, 3, 20, 40\) and \(1, 3, 20, 48\)"):
+        matcher.disparity(torch.rand(1, 3, 20, 40), torch.rand(1, 3, 20, 48))
+
+
+def test_from_pretrained(net, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_EMBEDDED", tmp_path)
+    path = tmp_path / "msnet2d.safetensors"
+    save_weights(net, path)
+    pair = random_pair(20, 40)
+    expected = StereoMatcher.from_pretrained()(*pair)
+    for matcher in (
+        StereoMatcher.from_pretrained("msnet2d"),
+        StereoMatcher.from_pretrained(weights=path),
+        StereoMatcher.from_pretrained("msnet2d", weights=path, threads=1),
+    ):
+        result = matcher(*pair)
+        np.testing.assert_allclose(result.disparity, expected.disparity, rtol=0, atol=1e-3)
+        assert result.facts["model"] == "msnet2d"
+    with pytest.raises(InputError, match="holds a msnet2d network, not msnet3d"):
+        StereoMatcher.from_pretrained("msnet3d", weights=path)
+    with pytest.raises(InputError, match="no weights of 'msnet3d'"):
+        StereoMatcher.from_pretrained("msnet3d")
+    with pytest.raises(InputError, match="unknown model 'raft'"):
+        StereoMatcher.from_pretrained("raft")
+    with pytest.raises(InputError, match="unknown runtime 'abacus'"):
+        StereoMatcher.from_pretrained(runtime="abacus")
+
+
+def test_semi_global_matching_is_a_model_like_any_other():
+    # The right view is the left one, moved by 6 px: left (x) matches right (x - 6).
+    rng = np.random.default_rng(0)
+    wide = cv2.GaussianBlur(rng.integers(0, 256, (64, 166, 3), dtype=np.uint8), (3, 3), 0)
+    result = StereoMatcher.from_pretrained("sgbm", max_disparity=32)(wide[:, :160], wide[:, 6:])
+    assert result.facts["model"] == "sgbm"
+    assert np.median(result.disparity) == pytest.approx(6, abs=0.1)
+    with pytest.raises(InputError, match="sgbm has no weights"):
+        StereoMatcher.from_pretrained("sgbm", weights="some.safetensors")

@@ -1,0 +1,68 @@
+import cv2
+import numpy as np
+import pytest
+
+from mobilestereonet import Calibration, StereoResult
+from mobilestereonet.data.disparity_files import read_disparity
+
+
+@pytest.fixture
+def result():
+    disparity = np.array([[0.001, 1, 2.5], [100.25, 300, 9]], np.float32)
+    valid = np.array([[True, True, True], [True, True, False]])
+    left = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    return StereoResult(left, disparity, valid)
+
+
+def test_depth_is_focal_times_baseline_over_disparity(result):
+    depth = result.depth(Calibration(focal=1000, baseline=0.5))
+    assert depth.dtype == np.float32
+    # 0.001 px is below the smallest disparity, the last pixel is not valid.
+    expected = [[0, 500, 200], [500 / 100.25, 500 / 300, 0]]
+    np.testing.assert_allclose(depth, expected, rtol=1e-6)
+
+
+def test_depth_knows_the_difference_of_principal_points(result):
+    depth = result.depth(Calibration(focal=1000, baseline=0.5, doffs=1.5))
+    np.testing.assert_allclose(depth[0], [500 / 1.501, 200, 125], rtol=1e-6)
+    depth = result.depth(Calibration(focal=1000, baseline=0.5, doffs=-2))
+    np.testing.assert_allclose(depth[0], [0, 0, 1000], rtol=1e-6)
+
+
+def test_depth_is_always_finite():
+    disparity = np.array([[0, np.nan, np.inf, 1e-38, -3]], np.float32)
+    result = StereoResult(np.zeros((1, 5, 3), np.uint8), disparity, np.isfinite(disparity))
+    np.testing.assert_array_equal(result.depth(Calibration(1000, 0.5)), np.zeros((1, 5)))
+
+
+def test_saved_files_hold_the_disparity(result, tmp_path):
+    paths = result.save(tmp_path / "new", "pair")
+    assert {kind: path.name for kind, path in paths.items()} == {
+        "png": "pair_disparity.png",
+        "pfm": "pair_disparity.pfm",
+        "npy": "pair_disparity.npy",
+        "picture": "pair_picture.png",
+    }
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == sorted(
+        path.name for path in paths.values()
+    )
+    # KITTI's PNG: 256 levels per px, 0 is unknown: invalid, or too large for it (300).
+    levels = cv2.imread(str(paths["png"]), cv2.IMREAD_UNCHANGED)
+    assert levels.dtype == np.uint16
+    assert levels.tolist() == [[1, 256, 640], [25664, 0, 0]]
+    expected = np.where(result.valid, result.disparity, np.inf)
+    np.testing.assert_array_equal(np.load(paths["npy"]), expected)
+    assert np.load(paths["npy"]).dtype == np.float32
+    disparity, known = read_disparity(paths["pfm"])
+    np.testing.assert_array_equal(known, result.valid)
+    np.testing.assert_array_equal(disparity[known], result.disparity[result.valid])
+
+
+def test_picture_has_the_left_view_and_the_disparity(result, tmp_path):
+    picture = cv2.imread(str(result.save(tmp_path, "pair")["picture"]))[..., ::-1]
+    np.testing.assert_array_equal(picture[:, :3], result.left)
+    colours = picture[:, -3:].astype(int)
+    assert picture.shape[1] > 6
+    assert colours[0, 0, 2] > colours[0, 0, 0]  # far is blue
+    assert colours[1, 1, 0] > colours[1, 1, 2]  # near is red
+    assert not colours[1, 2].any()  # unknown is black

@@ -1,0 +1,137 @@
+import json
+from itertools import pairwise
+
+import pytest
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.training.recipe import (
+    RECIPES,
+    Recipe,
+    get_recipe,
+    override,
+    read_recipe,
+)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_json_round_trip(name, tmp_path):
+    path = tmp_path / "recipe.json"
+    path.write_text(get_recipe(name).to_json())
+    assert read_recipe(path) == get_recipe(name)
+
+
+def test_an_older_recipe_takes_defaults(tmp_path):
+    path = tmp_path / "recipe.json"
+    path.write_text(json.dumps({"steps": 7, "augment": {"height": 64}}))
+    recipe = read_recipe(path)
+    assert (recipe.steps, recipe.augment.height, recipe.lr) == (7, 64, 1e-3)
+    assert recipe.zero_residuals is False
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "not a recipe"),
+        ("[1, 2]", "must be Recipe"),
+        ('{"steps": 1, "colour": "red"}', "no value 'colour'"),
+        ('{"steps": 1, "lr": "fast"}', "lr must be float"),
+    ],
+)
+def test_a_file_that_is_no_recipe(text, words, tmp_path):
+    path = tmp_path / "recipe.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as error:
+        read_recipe(path)
+    assert str(path) in str(error.value)
+
+
+def test_missing_recipe(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_recipe(tmp_path / "recipe.json")
+    with pytest.raises(InputError, match=r"unknown recipe 'fast'.*paper-sceneflow"):
+        get_recipe("fast")
+
+
+def test_override():
+    before = get_recipe("procedural")
+    values = {
+        "lr": 1,
+        "model": "msnet3d",
+        "augment.noise": 0.02,
+        "augment.exposure": None,
+        "augment.patch": [3, 4],
+        "scenes.seed": 7,
+        "scenes.kinds.room": 0.5,
+        "val_options.split": "val",
+        "schedule": [[0, 1], [1, 0.5]],
+    }
+    after = override(before, values)
+    assert (after.lr, after.model, after.scenes.seed) == (1.0, "msnet3d", 7)
+    assert after.augment.noise == 0.02 and after.augment.exposure is None
+    assert after.augment.patch == (3, 4) and after.augment.blur == before.augment.blur
+    assert after.scenes.kinds["room"] == 0.5 and before.scenes.kinds["room"] == 0.25
+    assert after.val_options == {"split": "val"}
+    assert after.schedule == ((0.0, 1.0), (1.0, 0.5))
+    assert override(before, {}) == before
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"colour": "red"}, "no value 'colour', only model"),
+        ({"augment.colour": 1}, "augment has no value 'colour'"),
+        ({"lr.fast": 1}, "lr has no parts"),
+        ({"augment": 5}, "augment must be AugmentConfig"),
+        ({"steps": "many"}, "steps must be int"),
+        ({"steps": 1.5}, "steps must be int"),
+        ({"batch_size": True}, "batch_size must be int"),
+        ({"zero_residuals": 1}, "zero_residuals must be bool"),
+        ({"augment.exposure": [1, 2, 3]}, "exposure must be tuple"),
+        ({"epochs": 3}, "either epochs or steps.*to null"),
+        ({"steps": None}, "either epochs or steps"),
+        ({"lr": 0}, "lr must be positive"),
+        ({"clip": -1.0}, "clip must be positive"),
+        ({"ema": 1.0}, "ema must be in"),
+        ({"seed": -1}, "seed must be in"),
+        ({"schedule": [[0.5, 1], [0.2, 1]]}, "shares that rise"),
+        ({"schedule": [[0, 1], [1.5, 1]]}, "shares that rise"),
+        ({"scenes.kinds.cave": 1.0}, "kinds"),
+    ],
+)
+def test_refused_overrides(values, words):
+    with pytest.raises(InputError, match=words):
+        override(get_recipe("procedural"), values)
+
+
+def _lr_by_epoch(recipe: Recipe, steps_per_epoch: int) -> list[float]:
+    """Learning rate of every epoch, which must not change within it."""
+    assert recipe.epochs is not None
+    steps = recipe.epochs * steps_per_epoch
+    factors = [recipe.lr_factor(step / steps) for step in range(steps)]
+    epochs = [factors[i : i + steps_per_epoch] for i in range(0, steps, steps_per_epoch)]
+    assert all(max(epoch) - min(epoch) < 1e-12 for epoch in epochs)
+    return [recipe.lr * epoch[0] for epoch in epochs]
+
+
+def test_paper_schedule_on_sceneflow():
+    recipe = get_recipe("paper-sceneflow")
+    # 20 epochs, halved after epochs 10, 12, 14 and 16.
+    expected = [1e-3] * 10 + [5e-4] * 2 + [2.5e-4] * 2 + [1.25e-4] * 2 + [6.25e-5] * 4
+    for steps_per_epoch in (1, 7, 4431):
+        assert _lr_by_epoch(recipe, steps_per_epoch) == pytest.approx(expected)
+    assert (recipe.batch_size, recipe.augment.height, recipe.augment.width) == (8, 256, 512)
+    assert recipe.full_heads == 4 and recipe.cross_entropy == 0
+
+
+def test_paper_schedule_on_kitti():
+    # 400 epochs, divided by 10 after 200; 160 pairs in batches of 8 are 20 steps.
+    lr = _lr_by_epoch(get_recipe("paper-kitti2015"), 20)
+    assert lr == pytest.approx([1e-3] * 200 + [1e-4] * 200)
+
+
+def test_our_schedule_warms_up_and_decays():
+    recipe = get_recipe("procedural")
+    factors = [recipe.lr_factor(share) for share in (0.0, 0.01, 0.02, 0.5, 0.75, 1.0)]
+    assert factors == pytest.approx([0.01, 0.505, 1.0, 1.0, 0.505, 0.01])
+    tail = [recipe.lr_factor(0.5 + 0.05 * i) for i in range(11)]
+    assert all(a > b for a, b in pairwise(tail))

@@ -1,0 +1,118 @@
+"""A run that was killed and resumed ends as one that was not, bit for bit."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+VALUES = {
+    "model": "table3a-v1-v1",
+    "max_disparity": 32,
+    "scenes.height": 80,
+    "scenes.width": 128,
+    "scenes.max_disparity": 24,
+    "scenes.min_disparity": 4,
+    "scenes.noise_textures": 16,
+    "scenes.texture_size": 32,
+    "augment.height": 64,
+    "augment.width": 96,
+    "augment.patch": "[5,10]",
+    "batch_size": 1,
+    "val_scenes": 1,
+    "val_every": 7,
+    "save_every": 3,
+    "steps": 20,
+    "ema": 0.9,
+}
+
+
+def _start(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "mobilestereonet", "train", str(folder)]
+    command += ["--accelerator", "cpu", "--no-progress", *arguments]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    with (folder.parent / f"{folder.name}.log").open("ab") as log:
+        return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+
+
+def _kill_when(process: subprocess.Popen[bytes], condition: Callable[[], bool], delay: float):
+    while process.poll() is None and not condition():
+        time.sleep(0.001)
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL, "the run was over before it could be killed"
+
+
+def _assert_equal(ours, theirs, name: str) -> None:
+    assert type(ours) is type(theirs), name
+    if isinstance(ours, dict):
+        assert ours.keys() == theirs.keys(), name
+        for key in ours:
+            _assert_equal(ours[key], theirs[key], f"{name}.{key}")
+    elif isinstance(ours, list | tuple):
+        assert len(ours) == len(theirs), name
+        for index, pair in enumerate(zip(ours, theirs, strict=True)):
+            _assert_equal(*pair, f"{name}.{index}")
+    elif isinstance(ours, torch.Tensor):
+        assert torch.equal(ours, theirs), name
+    else:
+        assert ours == theirs, name
+
+
+def test_killed_and_resumed(tmp_path):
+    settings = [f"--set={name}={value}" for name, value in VALUES.items()]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    first = _start(killed, *settings)
+    checkpoint, part = killed / "last.ckpt", killed / ".last.ckpt.part"
+    delay = random.uniform(0, 0.5)
+    _kill_when(first, checkpoint.exists, delay)
+    stopped_at = torch.load(checkpoint, weights_only=False)["global_step"]
+    print(f"killed {delay:.3f} s after the first checkpoint, resumed from step {stopped_at}")
+    assert 3 <= stopped_at < 20
+    # Once more, while a checkpoint is being written: the last whole one stays.
+    part.unlink(missing_ok=True)
+    _kill_when(_start(killed, "--resume"), part.exists, 0)
+    assert torch.load(checkpoint, weights_only=False)["global_step"] < 20
+    for process in (_start(killed, "--resume"), _start(whole, *settings)):
+        assert process.wait() == 0, (tmp_path / "killed.log").read_text()
+
+    ours, theirs = (torch.load(f / "last.ckpt", weights_only=False) for f in (killed, whole))
+    assert ours["global_step"] == theirs["global_step"] == 20
+    for key in ("current_model_state", "state_dict", "averaging_state", "optimizer_states",
+                "lr_schedulers"):  # fmt: skip
+        _assert_equal(ours[key], theirs[key], key)
+    average, current = theirs["state_dict"], theirs["current_model_state"]
+    weight = next(name for name in average if name.endswith("weight"))
+    assert not torch.equal(average[weight], current[weight])
+
+    saved = [load_file(folder / "weights.safetensors") for folder in (killed, whole)]
+    _assert_equal(*saved, "weights")
+    name = weight.removeprefix("net.")
+    assert torch.equal(saved[0][name].float(), average[weight].half().float())
+    assert (killed / "recipe.json").read_text() == (whole / "recipe.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--resume"], "nothing to resume"),
+        (["--set", "colour=red"], "no value 'colour'"),
+        (["--recipe", "fast"], "unknown recipe"),
+    ],
+)
+def test_bad_input_ends_with_one_line(arguments, words, tmp_path):
+    process = _start(tmp_path / "run", *arguments)
+    assert process.wait() == 2
+    lines = (tmp_path / "run.log").read_text().splitlines()
+    if arguments == ["--resume"]:
+        assert "recipe.json" in lines[-1] or words in lines[-1]
+    else:
+        assert len(lines) == 1 and lines[0].startswith("msnet: ") and words in lines[0]
+    assert not (tmp_path / "run").exists()
