@@ -65,17 +65,36 @@ class StereoNet(nn.Module):
         return regress_disparity(scores[-1])
 
     def scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
-        """Matching scores before the upsampling.
+        """Matching scores before the upsampling, see `aggregate`."""
+        return self.aggregate(self.cost_volume(left, right))
+
+    def cost_volume(self, left: Tensor, right: Tensor) -> Tensor:
+        """Cost volume of a pair.
+
+        Args:
+            left: Left views (B, 3, H, W), normalised; H and W are multiples of 16.
+            right: Right views, likewise.
+
+        Returns:
+            (B, C, D, H / 4, W / 4), D disparities at a quarter of the resolution.
+
+        Raises:
+            InputError: If the shapes differ or are not multiples of 16.
+        """
+        self._check(left, right)
+        views = self.reduction(self.features(torch.cat((left, right))))
+        return cast(Tensor, self.volume(*views.chunk(2)))
+
+    def aggregate(self, volume: Tensor) -> list[Tensor]:
+        """Encoder-decoder and heads: matching scores of a cost volume.
+
+        Args:
+            volume: (B, C, D, H / 4, W / 4).
 
         Returns:
             One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
         """
-        self._check(left, right)
-        views = self.reduction(self.features(torch.cat((left, right))))
-        volume = self.volume(*views.chunk(2))
-        if self.config.dims == 2:
-            volume = volume.flatten(1, 2)
-        x = self.pre_hourglass(volume)
+        x = self.pre_hourglass(volume.flatten(1, 2) if self.config.dims == 2 else volume)
         stages = [x]
         for hourglass in self.hourglasses:
             x = hourglass(x)

@@ -77,7 +77,8 @@ class StereoModule(L.LightningModule):
         self._save_buffers()
         if batch.disparity is None or batch.valid is None:
             raise InputError(f"{batch.name} has no ground truth: choose another split to train on")
-        scores = self.net.scores(normalise(batch.left), normalise(batch.right))
+        volume = self.net.cost_volume(normalise(batch.left), normalise(batch.right))
+        scores = self.net.aggregate(volume)
         mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
         with torch.autocast(self.device.type, enabled=False):
             predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
@@ -85,6 +86,10 @@ class StereoModule(L.LightningModule):
             if self.recipe.cross_entropy:
                 coarse = cross_entropy_sum(scores, batch.disparity, mask)
                 loss = loss + self.recipe.cross_entropy * coarse
+            if self.recipe.volume_cross_entropy and self.net.config.volume_channels == 1:
+                loss = loss + self.recipe.volume_cross_entropy * self._volume_loss(
+                    volume, batch.disparity, mask
+                )
         pixels = mask.sum().to(loss.dtype)
         ranks = self.trainer.world_size
         if ranks > 1:
@@ -107,6 +112,14 @@ class StereoModule(L.LightningModule):
         if self.trainer.world_size > 1:
             for buffer in self.net.buffers():
                 dist.broadcast(buffer, 0)
+
+    def _volume_loss(self, volume: Tensor, disparity: Tensor, mask: Tensor) -> Tensor:
+        """Cross entropy of a volume of one channel, its planes taken as scores."""
+        # Batch norm and ReLU leave the planes within a few units: sharpen them to be scores.
+        # Plane k compares columns at disparity 4 k, while a head's plane k means 4 k + 1.5.
+        loss = cross_entropy_sum([4 * volume[:, 0].float()], disparity + 1.5, mask)
+        self.log("train/volume_loss", loss.detach() / mask.sum().clamp_min(1))
+        return loss
 
     def validation_step(self, batch: StereoSample, batch_idx: int) -> None:
         """Score one batch; the first one's pictures go to TensorBoard."""

@@ -46,6 +46,8 @@ class Recipe:
         cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1.
         val_every: Steps between two validations.
         save_every: Steps between two checkpoints.
+        volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
+            volume, which reaches the features on a short way.
         zero_residuals: Start the residual branches of fresh weights at zero, see
             `StereoNet.zero_residuals`; the paper does not.
         seed: Seed of the fresh weights, the order of the data and the augmentation.
@@ -71,6 +73,7 @@ class Recipe:
     cross_entropy: float = 0.0
     val_every: int = 1000
     save_every: int = 250
+    volume_cross_entropy: float = 0.0
     zero_residuals: bool = False
     seed: int = 0
 
@@ -164,6 +167,7 @@ RECIPES: dict[str, Recipe] = {
         ema=0.999,
         full_heads=1,
         cross_entropy=5.0,
+        volume_cross_entropy=5.0,
         zero_residuals=True,
     ),
 }

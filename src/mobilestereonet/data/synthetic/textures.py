@@ -116,7 +116,7 @@ def _colours(rng: np.random.Generator, count: int) -> Image:
     """Colours that are more often dull than vivid."""
     grey = rng.uniform(0.05, 0.95, (count, 1))
     tint = rng.normal(0, 1, (count, 3)) * rng.choice(
-        [0.03, 0.1, 0.25], (count, 1), p=[0.4, 0.4, 0.2]
+        [0.02, 0.07, 0.2], (count, 1), p=[0.45, 0.4, 0.15]
     )
     return np.clip(grey + tint, 0.02, 0.98).astype(np.float32)
 

@@ -1,0 +1,96 @@
+"""Two processes take the step that one process takes with twice the batch."""
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+# The command itself, with batch norms in eval mode, since those of a CPU are not synchronised.
+SCRIPT = """
+import sys
+from pathlib import Path
+
+import torch
+
+from mobilestereonet.cli.main import main
+from mobilestereonet.training.module import StereoModule
+
+clip = StereoModule.configure_gradient_clipping
+
+
+def batch_norms_in_eval_mode(self, batch, batch_idx):
+    for module in self.net.modules():
+        if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
+            module.eval()
+
+
+def keep_gradients(self, optimizer, *arguments, **options):
+    gradients = {name: p.grad.clone() for name, p in self.net.named_parameters()}
+    torch.save(gradients, Path(sys.argv[2]) / f"gradients_{self.global_rank}.pt")
+    clip(self, optimizer, *arguments, **options)
+
+
+StereoModule.on_train_batch_start = batch_norms_in_eval_mode
+StereoModule.configure_gradient_clipping = keep_gradients
+main()
+"""
+VALUES = {
+    "model": "table3a-v1-v1",
+    "max_disparity": 32,
+    "scenes.height": 80,
+    "scenes.width": 128,
+    "scenes.max_disparity": 40,
+    "scenes.min_disparity": 4,
+    "scenes.noise_textures": 16,
+    "scenes.texture_size": 32,
+    "augment.height": 64,
+    "augment.width": 96,
+    "val_scenes": 3,
+    "val_every": 1,
+    "steps": 1,
+    "lr_batch": 4,
+}
+
+
+def _run(folder: Path, launcher: list[str], processes: int, batch_size: int) -> str:
+    script = folder.parent / "train.py"
+    script.write_text(SCRIPT)
+    command = [*launcher, str(script), "train", str(folder), "--no-progress"]
+    command += ["--accelerator", "cpu", "--devices", str(processes)]
+    values = VALUES | {"batch_size": batch_size}
+    command += [f"--set={name}={value}" for name, value in values.items()]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MASTER_ADDR": "127.0.0.1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stderr
+
+
+def _validation(folder: Path) -> dict[str, float]:
+    with (folder / "csv/version_0/metrics.csv").open(newline="") as file:
+        row = next(row for row in csv.DictReader(file) if row["val/epe"])
+    return {name: float(row[name]) for name in ("val/epe", "val/d1", "val/occ/epe")}
+
+
+TORCHRUN = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+
+
+def test_two_processes_are_one_with_twice_the_batch(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    log = _run(one, [sys.executable], processes=1, batch_size=2)
+    assert "Learning rate scaled by the global batch: 0.001 x 2 / 4 = 0.0005" in log
+    log = _run(two, TORCHRUN, processes=2, batch_size=1)
+    assert log.count("0.001 x 2 / 4 = 0.0005") == 1
+
+    expected = torch.load(one / "gradients_0.pt")
+    for rank in (0, 1):
+        gradients = torch.load(two / f"gradients_{rank}.pt")
+        assert gradients.keys() == expected.keys()
+        for name, gradient in gradients.items():
+            error = torch.linalg.vector_norm(gradient - expected[name])
+            assert error <= 1e-5 * torch.linalg.vector_norm(expected[name]), (rank, name)
+    # The third scene is one process's alone: the figures are those of all three.
+    assert _validation(two) == pytest.approx(_validation(one), rel=1e-4)
