@@ -6,10 +6,13 @@ import sys
 
 import typer
 
+from mobilestereonet.cli.ablate import ablate
 from mobilestereonet.cli.cost import cost
+from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.models import models
+from mobilestereonet.cli.plot_run import plot_run
 from mobilestereonet.cli.predict import predict
 from mobilestereonet.cli.submit import submit
 from mobilestereonet.cli.train import train
@@ -22,8 +25,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (demo, predict, models, cost, evaluate, submit, train):
+for command in (demo, predict, models, cost, evaluate, submit, train, ablate, plot_run):
     app.command()(command)
+app.add_typer(data)
 
 
 def main() -> None:

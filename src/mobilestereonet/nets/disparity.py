@@ -14,6 +14,7 @@ centre have closed forms as well. The two fine bins at either end repeat the out
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -25,8 +26,9 @@ class _Moments(NamedTuple):
     """Sums over each interval's four terms, before the softmax's division."""
 
     mass: Tensor  # (B, D - 1, H, W)
-    first: Tensor  # moments of the disparity about the interval's centre
-    second: Tensor
+    first: Tensor  # moment of the disparity about the interval's centre
+    e: Tensor  # the largest term
+    r: Tensor  # the ratio of the series
     left_end: Tensor  # (B, H, W), the two bins below the first interval
     right_end: Tensor
     centres: Tensor  # (D - 1, 1, 1)
@@ -40,13 +42,13 @@ def _moments(scores: Tensor) -> _Moments:
     peak = torch.maximum(peak, torch.maximum(scores[:, :1], scores[:, -1:]))
     e = torch.exp(best - peak)
     r = torch.exp(-gap / 4)
-    r2 = r * r
-    r3 = r * r2
+    squares = 1 + r * r
     centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
     return _Moments(
-        mass=e * (1 + r) * (1 + r2),
-        first=e * torch.sign(high - low) * (1.5 * (1 - r3) + 0.5 * (r - r2)),
-        second=e * (2.25 * (1 + r3) + 0.25 * (r + r2)),
+        mass=e * (1 + r) * squares,
+        first=e * torch.sign(high - low) * (1 - r) * (1.5 * squares + 2 * r),
+        e=e,
+        r=r,
         left_end=2 * torch.exp(scores[:, 0] - peak[:, 0]),
         right_end=2 * torch.exp(scores[:, -1] - peak[:, 0]),
         centres=(4 * centres + 3.5)[:, None, None],
@@ -86,14 +88,16 @@ class _SoftArgmax(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, scores: Tensor) -> Tensor:
         ctx.save_for_backward(scores)
-        return torch.cat([soft_argmax(rows) for rows in _row_blocks(scores)], dim=1)
+        blocks = scores.split(_cached_rows(scores), dim=2)
+        return torch.cat([soft_argmax(rows) for rows in blocks], dim=1)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Tensor:
         (scores,) = ctx.saved_tensors
         gradient = torch.empty_like(scores)
+        step = _cached_rows(scores)
         blocks = zip(
-            _row_blocks(scores), _row_blocks(gradient), grads[0].split(_ROWS, 1), strict=True
+            scores.split(step, 2), gradient.split(step, 2), grads[0].split(step, 1), strict=True
         )
         for rows, target, grad in blocks:
             m = _moments(rows)
@@ -101,8 +105,9 @@ class _SoftArgmax(torch.autograd.Function):
             scale = (grad / total).unsqueeze(1)
             offset = m.centres - disparity.unsqueeze(1)
             # A fine term at o from its interval's centre weighs the two scores 1/2 -+ o/4.
+            second = 2.25 * m.mass - 2 * m.e * m.r * (1 + m.r)
             even = (offset * m.mass + m.first) * (scale / 2)
-            odd = (offset * m.first + m.second) * (scale / 4)
+            odd = (offset * m.first + second) * (scale / 4)
             target[:, 1:-1] = (even + odd)[:, :-1] + (even - odd)[:, 1:]
             last = 4 * rows.shape[1] - 1.5
             target[:, 0] = (even - odd)[:, 0] + scale[:, 0] * (0.5 - disparity) * m.left_end
@@ -110,11 +115,12 @@ class _SoftArgmax(torch.autograd.Function):
         return gradient
 
 
-_ROWS = 16
+_CACHED = 1 << 17
+"""Elements of a temporary that stays in the cache."""
 
 
-def _row_blocks(scores: Tensor) -> tuple[Tensor, ...]:
-    return torch.split(scores, _ROWS, dim=2)
+def _cached_rows(scores: Tensor) -> int:
+    return max(1, _CACHED // (scores.shape[1] * scores.shape[3]))
 
 
 def regress_disparity(scores: Tensor) -> Tensor:
@@ -128,8 +134,26 @@ def regress_disparity(scores: Tensor) -> Tensor:
     """
     if scores.dtype in (torch.float16, torch.bfloat16):
         scores = scores.float()
-    scores = F.interpolate(scores, scale_factor=4, mode="bilinear", align_corners=False)
+    if torch.compiler.is_compiling():  # one graph for all sizes, which the engine divides itself
+        return soft_argmax(_upsample(scores))
     if scores.requires_grad:
-        disparity: Tensor = _SoftArgmax.apply(scores)  # type: ignore[no-untyped-call]
+        disparity: Tensor = _SoftArgmax.apply(_upsample(scores))  # type: ignore[no-untyped-call]
         return disparity
-    return soft_argmax(scores)
+    return torch.cat(list(_disparity_by_rows(scores)), dim=1)
+
+
+def _upsample(scores: Tensor) -> Tensor:
+    return F.interpolate(scores, scale_factor=4, mode="bilinear", align_corners=False)
+
+
+def _disparity_by_rows(scores: Tensor, step: int = 4) -> Iterator[Tensor]:
+    """Disparity of some rows at a time, so that not even the upsampled scores exist as a whole."""
+    height = scores.shape[2]
+    for top in range(0, height, step):
+        bottom = min(top + step, height)
+        # The row above and the one below are what the interpolation also looks at.
+        first = max(top - 1, 0)
+        fine = _upsample(scores[:, :, first : bottom + 1])
+        fine = fine[:, :, 4 * (top - first) : 4 * (bottom - first)]
+        for rows in fine.split(_cached_rows(fine), dim=2):
+            yield soft_argmax(rows)

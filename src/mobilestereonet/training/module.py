@@ -107,12 +107,6 @@ class StereoModule(L.LightningModule):
         self.log("train/samples_per_second", rate)
         self.log("samples/s", rate, prog_bar=True, logger=False)
 
-    def on_validation_epoch_start(self) -> None:
-        """Validate one network on all ranks: batch norms that are not synchronised differ."""
-        if self.trainer.world_size > 1:
-            for buffer in self.net.buffers():
-                dist.broadcast(buffer, 0)
-
     def _volume_loss(self, volume: Tensor, disparity: Tensor, mask: Tensor) -> Tensor:
         """Cross entropy of a volume of one channel, its planes taken as scores."""
         # Batch norm and ReLU leave the planes within a few units: sharpen them to be scores.
@@ -132,7 +126,7 @@ class StereoModule(L.LightningModule):
         """Log the figures of all validation pairs, over all ranks."""
         scores = self.val_metrics.compute()
         self.val_metrics.reset()
-        self.log_dict(scores.figures("val/"))
+        self.log_dict(scores.figures("val/"), rank_zero_only=True)
 
     def configure_optimizers(self) -> Any:
         """Adam as in the paper, its learning rate by the recipe's schedule at every step."""

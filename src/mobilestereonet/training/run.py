@@ -13,7 +13,6 @@ import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-from lightning.pytorch.strategies import DDPStrategy
 from lightning.pytorch.utilities import rank_zero_info
 from torch.utils.data import DataLoader, Dataset, Subset
 
@@ -190,9 +189,6 @@ def train(
             accelerator=accelerator,
             devices=devices,
             num_nodes=num_nodes,
-            # Batch norms are synchronised, or differ on purpose; and one broadcast per forward
-            # pass would hang in validation where ranks have different numbers of pairs.
-            strategy=DDPStrategy(broadcast_buffers=False) if ranks > 1 else "auto",
             sync_batchnorm=cuda and ranks > 1,
             precision=precision,  # type: ignore[arg-type]
             max_steps=steps,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,17 +13,13 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from mobilestereonet.data.sample import Calibration, StereoSample
-from mobilestereonet.data.synthetic.layout import Builder, Scene
+from mobilestereonet.data.synthetic.builder import Builder
+from mobilestereonet.data.synthetic.masks import MASKS, make_masks
+from mobilestereonet.data.synthetic.noise import NOISE, make_noise
 from mobilestereonet.data.synthetic.places import PLACES
 from mobilestereonet.data.synthetic.render import render_scenes
-from mobilestereonet.data.synthetic.textures import (
-    MASKS,
-    NOISE,
-    TextureBank,
-    make_masks,
-    make_noise,
-    read_photographs,
-)
+from mobilestereonet.data.synthetic.scene import Scene
+from mobilestereonet.data.synthetic.textures import TextureBank, read_photographs
 from mobilestereonet.errors import InputError
 
 __all__ = ["ProceduralScenes", "SceneConfig"]
@@ -43,6 +40,7 @@ class SceneConfig:
             draws its own nearest disparity between the two, evenly in the logarithm.
         seed: First word of the generator's key; the scene's index is the second.
         rays: Rays per pixel: 1 (the centre) or 2 (the centre and corners shared by neighbours).
+        objects: Fewest and most things that float in a scene of clutter; fewer indoors.
         kinds: Weight of each layout.
         noise_textures: How many noise textures to make.
         texture_size: Side of a texture in texels, a power of two.
@@ -55,6 +53,7 @@ class SceneConfig:
     min_disparity: float = 12.0
     seed: int = 0
     rays: int = 2
+    objects: tuple[int, int] = (20, 60)
     kinds: Mapping[str, float] = field(
         default_factory=lambda: {
             "room": 0.25,
@@ -78,6 +77,10 @@ class SceneConfig:
                 "scenes: 0 < min_disparity <= max_disparity must hold, got "
                 f"{self.min_disparity} and {self.max_disparity}"
             )
+        if self.seed < 0:
+            raise InputError(f"scenes: seed must not be negative, got {self.seed}")
+        if len(self.objects) != 2 or not 0 <= self.objects[0] <= self.objects[1]:
+            raise InputError(f"scenes: objects must be a range of counts, got {self.objects}")
         if self.rays not in (1, 2):
             raise InputError(f"scenes: rays must be 1 or 2, got {self.rays}")
         if self.texture_size & (self.texture_size - 1) or self.texture_size < 2:
@@ -140,20 +143,21 @@ class ProceduralScenes(Dataset[StereoSample]):
         rng = self._generator(index)
         weights = np.array(list(config.kinds.values()), dtype=np.float64)
         kind = list(config.kinds)[int(rng.choice(len(weights), p=weights / weights.sum()))]
-        place, near, pitch, outdoors = PLACES[kind]
+        place = PLACES[kind]
         nearest = np.exp(rng.uniform(np.log(config.min_disparity), np.log(config.max_disparity)))
         build = Builder(
             rng,
             (config.height, config.width),
             float(nearest),
-            float(rng.uniform(*near)),
-            pitch,
+            float(rng.uniform(*place.near)),
+            place.pitch,
+            self.config.objects,
             noise=self._bank.noise,
             photographs=self._bank.photographs,
             masks=len(self._masks),
         )
-        place(build)
-        return build.finish(kind, outdoors)
+        place.layout(build)
+        return build.finish(kind, place.outdoors)
 
     def batch(self, indices: Sequence[int]) -> StereoSample:
         """Render scenes together.
@@ -186,10 +190,10 @@ class ProceduralScenes(Dataset[StereoSample]):
             raise IndexError(f"scene {index} of {len(self)}")
         scene = self.layout(index)
         sample = self.batch([index])
-        parts: dict[str, Tensor] = {
+        first: dict[str, Any] = {
             item.name: value[0]
             for item in fields(sample)
             if isinstance(value := getattr(sample, item.name), Tensor)
         }
         calibration = Calibration(scene.focal, scene.baseline, 0.0, scene.cx, scene.cy)
-        return replace(sample, **parts, calibration=calibration)
+        return replace(sample, **first, calibration=calibration)

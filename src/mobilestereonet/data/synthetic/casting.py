@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet.data.synthetic.layout import MASKED, QUADRIC, RECTANGLE, Scene
+from mobilestereonet.data.synthetic.scene import MASKED, QUADRIC, RECTANGLE, Scene
 
 TILE = (16, 32)
 # The lamp is a third camera: what it does not see lies in shadow.
@@ -47,6 +47,7 @@ class Frames:
         bounds: x0, y0, x1, y1 of a quadric in the image, (n, 3, 4).
         mask: Index of the mask, (n,).
         mask_repeat: Repeats of the mask along x and y, (n, 2).
+        one_sided: Whether a rectangle is seen only from where its normal points, (n,).
         normal: Local gradient to the camera's frame, (n, 3, 3).
     """
 
@@ -62,6 +63,7 @@ class Frames:
     bounds: Tensor
     mask: Tensor
     mask_repeat: Tensor
+    one_sided: Tensor
     normal: Tensor
 
 
@@ -71,9 +73,10 @@ def join(scenes: Sequence[Scene], name: str) -> NDArray[np.float64]:
 
 
 def to_device(values: NDArray[np.float64], device: torch.device) -> Tensor:
-    """Whole numbers as int64, others as float32."""
-    kind = np.int64 if values.dtype.kind == "i" else np.float32
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=kind)).to(device)
+    """Move to ``device``, floats as float32."""
+    floats = values.dtype.kind == "f"
+    contiguous = np.ascontiguousarray(values, dtype=np.float32 if floats else None)
+    return torch.from_numpy(contiguous).to(device)
 
 
 def lamp_axes(scene: Scene) -> Floats:
@@ -144,6 +147,7 @@ def make_frames(scenes: Sequence[Scene], size: tuple[int, int], device: torch.de
         "bounds": bounds,
         "mask": join(scenes, "mask"),
         "mask_repeat": join(scenes, "mask_repeat"),
+        "one_sided": join(scenes, "one_sided"),
         "normal": inverse.swapaxes(-1, -2),
     }
     return Frames(**{name: to_device(values, device) for name, values in arrays.items()})
@@ -158,9 +162,11 @@ def _touched(frames: Frames, members: Tensor, shape: int, tiles: Tensor, views: 
     x0, y0, x1, y1 = tiles.T[:, None, :, None]
     if shape == QUADRIC:
         left, top, right, bottom = frames.bounds[members, :views].permute(2, 1, 0)[:, :, None]
-        return (left <= x1) & (right >= x0) & (top <= y1) & (bottom >= y0)
+        touched: Tensor = (left <= x1) & (right >= x0) & (top <= y1) & (bottom >= y0)
+        return touched
     disparity, u, v = frames.plane[members, :views].permute(2, 3, 1, 0)[:, :, :, None]
-    touched = torch.ones((), dtype=torch.bool, device=tiles.device)
+    facing = (frames.eye[members, :views, 2] > 0) | ~frames.one_sided[members, None]
+    touched = facing.T[:, None]
     for edge in (disparity, disparity + u, disparity - u, disparity + v, disparity - v):
         along_x = torch.maximum(edge[0] * x0, edge[0] * x1)
         along_y = torch.maximum(edge[1] * y0, edge[1] * y1)
@@ -205,7 +211,8 @@ def _pair(frames: Frames, shape: int, tiles: Tensor, scenes: int, views: int) ->
 def _affine(rows: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Affine map of positions: rows (n, 3), x (n, 1, w), y (n, h, 1) -> (n, h, w)."""
     a, b, c = rows.T[:, :, None, None]
-    return a * x + (b * y + c)
+    values: Tensor = a * x + (b * y + c)
+    return values
 
 
 def _hit_rectangle(

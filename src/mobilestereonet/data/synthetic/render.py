@@ -17,7 +17,7 @@ from mobilestereonet.data.synthetic.casting import (
     cast,
     make_frames,
 )
-from mobilestereonet.data.synthetic.layout import QUADRIC, Scene
+from mobilestereonet.data.synthetic.scene import QUADRIC, Scene
 from mobilestereonet.data.synthetic.shading import make_materials, shade_images
 from mobilestereonet.data.synthetic.textures import TextureBank
 
@@ -86,5 +86,7 @@ def render_scenes(
     brightness = torch.tensor([scene.brightness for scene in scenes], device=masks.device)
     # The geometric mean lets a bright sky burn out, as cameras do.
     exposure = brightness / colour.clamp_min(0.01).log().mean(dim=(1, 2, 3, 4)).exp()
-    colour = (colour * exposure.view(-1, 1, 1, 1, 1)).clamp(0, 1)
+    colour = colour.clamp_min(0) * exposure.view(-1, 1, 1, 1, 1)
+    squared = colour * colour
+    colour = colour / (1 + squared * squared).sqrt().sqrt()  # a film's shoulder, below 1
     return colour, disparity[:, LEFT].contiguous(), _occluded(frames, disparity, index)

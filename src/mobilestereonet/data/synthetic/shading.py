@@ -16,7 +16,7 @@ from mobilestereonet.data.synthetic.casting import (
     lamp_focal,
     to_device,
 )
-from mobilestereonet.data.synthetic.layout import QUADRIC, Scene
+from mobilestereonet.data.synthetic.scene import QUADRIC, Scene
 from mobilestereonet.data.synthetic.textures import TextureBank
 
 # Rays shaded at once on the CPU: the working set stays in the cache.
@@ -34,19 +34,24 @@ class Materials:
         start: Texel coordinates of the eye seen through a rectangle's frame, (2, 2 n): x and y,
             for surface and view in this order.
         step: Change of the texel coordinates with depth: rows of x and y, (6, n).
-        texels: Local surface coordinates to texels, (n, 2, 3).
+        curve: Rows of a quadric's local position at its anchor and of its change with depth, for
+            surface and view in this order, (18, 2 n).
+        turn: Local gradient of a quadric to the camera's frame, (9, n).
+        texels: Local surface coordinates to texels, (6, n).
         normal: A rectangle's unit normal, (3, n).
         footprint: Texels per pixel times disparity, seen head-on, (n,).
         texture: Index of the texture, (n,).
         base: Colour that does not vary, (3, n).
         gain: Factor on the texture's bytes, (3, n).
         gloss: Strength of the highlight, (n,).
-        light: One row per scene: the camera and the lamp, (B, 28).
+        light: One row per scene: the camera and the lamp, (B, 22).
     """
 
     curved: Tensor
     start: Tensor
     step: Tensor
+    curve: Tensor
+    turn: Tensor
     texels: Tensor
     normal: Tensor
     footprint: Tensor
@@ -60,8 +65,9 @@ class Materials:
 def _light_row(scene: Scene, size: tuple[int, int]) -> list[float]:
     camera = [scene.focal, scene.cx, scene.cy, scene.baseline]
     lamp = [*scene.light, scene.ambient, scene.diffuse, scene.reach**2, scene.shininess]
-    view = [lamp_focal(scene, size), *lamp_axes(scene).ravel()]
-    return [*camera, *lamp, *view]
+    # Beyond the lit region, as on the sky, nothing casts a shadow.
+    farthest = float(np.linalg.norm(scene.focus - scene.light)) + 4 * scene.spread
+    return [*camera, *lamp, lamp_focal(scene, size), *lamp_axes(scene).ravel(), farthest]
 
 
 def make_materials(
@@ -80,11 +86,14 @@ def make_materials(
     start = (across * frames.eye[:, :2, None, :2, None]).sum((3, 4)) + texels[:, None, :, 2]
     step = (across * frames.direction[:, :1, None, :2]).sum(3)[:, 0]
     normal = frames.normal[:, :, 2]
+    curve = torch.cat([frames.origin[:, :2].flatten(2), frames.direction[:, :2].flatten(2)], 2)
     return Materials(
         curved=frames.shape == QUADRIC,
         start=start.permute(2, 0, 1).reshape(2, -1).contiguous(),
         step=step.reshape(-1, 6).T.contiguous(),
-        texels=texels,
+        curve=curve.flatten(0, 1).T.contiguous(),
+        turn=frames.normal.flatten(1).T.contiguous(),
+        texels=texels.flatten(1).T.contiguous(),
         normal=torch.nn.functional.normalize(normal, dim=-1).T.contiguous(),
         footprint=to_device(join(scenes, "density") * baseline, device),
         texture=texture,
@@ -103,7 +112,7 @@ class Rays:
     y: Tensor  # (h, 1)
     disparity: Tensor  # (b, 2, h, W)
     surface: Tensor  # (b, 2, h, W)
-    light: Tensor  # (b, 28)
+    light: Tensor  # (b, 22)
     lamp: tuple[Tensor, Tensor]  # the lamp's view: disparity and surface, (b, H, W)
 
 
@@ -125,33 +134,42 @@ def _curve(
     view = where // (height * width) % 2
     x = rays.x[where % width]
     y = rays.y[where // width % height, 0]
-    position = torch.stack([x, y, torch.ones_like(x)], -1)[:, None]
     beyond = depth.flatten()[where] - frames.anchor[which, view]
-    local = (frames.origin[which, view] * position).sum(-1)
-    local = local + beyond[:, None] * (frames.direction[which, view] * position).sum(-1)
-    lx, ly, lz = local.T
-    alpha, beta, _ = frames.quadric[which].T
-    gradient = torch.stack([lx, ly, alpha * lz + 0.5 * beta], -1)[:, None]
-    normal = torch.nn.functional.normalize((frames.normal[which] * gradient).sum(-1), dim=-1)
-    around = torch.stack([torch.atan2(ly, lx), lz, torch.ones_like(lz)], -1)[:, None]
-    texel = (materials.texels[which] * around).sum(-1)
-    for target, values in zip(flat, (*texel.T, *normal.T), strict=True):
-        target[where] = values
+
+    def pick(columns: Tensor, at: Tensor) -> list[Tensor]:
+        return [column.index_select(0, at) for column in columns]
+
+    rows = pick(materials.curve, 2 * which + view)
+    place = [rows[i] * x + rows[i + 1] * y + rows[i + 2] for i in range(0, 18, 3)]
+    lx, ly, lz = (place[i] + beyond * place[i + 3] for i in range(3))
+    alpha, beta, _ = pick(frames.quadric.T.contiguous(), which)
+    gradient = (lx, ly, alpha * lz + 0.5 * beta)
+    rows = pick(materials.turn, which)
+    normal = [_dot(rows[i : i + 3], gradient) for i in range(0, 9, 3)]
+    length = _dot(normal, normal).rsqrt()
+    angle = torch.atan2(ly, lx)
+    rows = pick(materials.texels, which)
+    texel = [rows[i] * angle + rows[i + 1] * lz + rows[i + 2] for i in (0, 3)]
+    values = (*texel, *(length * component for component in normal))
+    for target, value in zip(flat, values, strict=True):
+        target[where] = value
 
 
-def _lit(rays: Rays, light: Sequence[Tensor], from_lamp: Sequence[Tensor], own: Tensor) -> Tensor:
+def _lit(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own: Tensor) -> Tensor:
     """Share of the lamp's light that reaches the rays' points, 0..1.
 
     A point lies in shadow if the lamp sees another surface there that is clearly nearer to it.
     """
     lamp_disparity, lamp_surface = rays.lamp
     height, width = lamp_surface.shape[-2:]
-    axes = tuple(light[12 + 3 * i : 15 + 3 * i] for i in range(3))
+    axes = light[12:21].unflatten(0, (3, 3))
     depth = _dot(from_lamp, axes[2])
     scale = light[11] / depth
     x = _dot(from_lamp, axes[0]) * scale + 0.5 * width
     y = _dot(from_lamp, axes[1]) * scale + 0.5 * height
-    seen = (depth > 0) & (x > 1) & (x < width - 1) & (y > 1) & (y < height - 1)
+    seen = (
+        (depth > 0) & (depth < light[21]) & (x > 1) & (x < width - 1) & (y > 1) & (y < height - 1)
+    )
     scenes = torch.arange(len(lamp_surface), device=x.device, dtype=torch.int32)
     column = x.nan_to_num(0.0).clamp(0, width - 2).int()
     row = y.nan_to_num(0.0).clamp(0, height - 2).int()

@@ -1,0 +1,173 @@
+"""A training step of the final networks, ours and in the authors' formulation, in one table.
+
+    python benchmarks/training_step.py [--models msnet2d msnet3d] [--repeats 5] [--threads 2]
+
+Ours is the step of `msnet train` under the recipe ``procedural``: all disparities in one batch, the
+head in closed form, bfloat16 autocast, channels last; once with the paper's loss on four heads.
+The authors' is `PlainNet`: a loop over 48 cropped pairs, one view after the other, four heads
+upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a process of its
+own, whose largest resident size is the peak memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import lightning as L
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch.utils.data import DataLoader
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.nets import create_model
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.training.losses import smooth_l1_sum, trained_pixels
+from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.recipe import get_recipe
+from plain import PlainNet
+
+VARIANTS = {
+    "authors": "authors' formulation, float32",
+    "paper loss": "ours, the paper's loss, bfloat16",
+    "ours": "ours, recipe procedural, bfloat16",
+}
+
+
+def random_pair(height: int, width: int) -> StereoSample:
+    """Noise: the time of a step does not depend on what is in the pair."""
+    generator = torch.Generator().manual_seed(0)
+    left, right = torch.rand(2, 1, 3, height, width, generator=generator)
+    disparity = torch.rand(1, height, width, generator=generator) * 190 + 1
+    return StereoSample(left, right, disparity, disparity > 0, name="noise")
+
+
+def authors_steps(model: str, pair: StereoSample) -> Iterator[float]:
+    """Seconds of step after step in the authors' formulation."""
+    check(model)
+    plain = PlainNet(create_model(model)).train()
+    optimizer = torch.optim.Adam(plain.parameters(), lr=1e-3, betas=(0.9, 0.999))
+    while True:
+        started = time.perf_counter()
+        predictions = plain(normalise(pair.left), normalise(pair.right))
+        mask = trained_pixels(pair.disparity, pair.valid, 192)
+        loss = smooth_l1_sum(predictions, pair.disparity, mask) / mask.sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        yield time.perf_counter() - started
+
+
+def check(model: str) -> None:
+    """Both formulations are the same function in eval mode."""
+    net = create_model(model, max_disparity=32).double().eval()
+    generator = torch.Generator().manual_seed(0)
+    views = torch.randn(2, 1, 3, 32, 64, dtype=torch.float64, generator=generator).unbind()
+    with torch.no_grad():
+        torch.testing.assert_close(PlainNet(net).eval()(*views), net(*views))
+
+
+class Clock(L.Callback):
+    """Seconds of each step of a run."""
+
+    def __init__(self) -> None:
+        self.seconds: list[float] = []
+
+    def on_train_batch_start(self, *_: object) -> None:
+        """Note the time."""
+        self.started = time.perf_counter()
+
+    def on_train_batch_end(self, *_: object) -> None:
+        """Note how long it took."""
+        self.seconds.append(time.perf_counter() - self.started)
+
+
+def our_steps(model: str, pair: StereoSample, paper_loss: bool, steps: int) -> list[float]:
+    """Seconds of each of ``steps`` steps of `msnet train`, guard and logging included."""
+    recipe = replace(get_recipe("procedural"), model=model, batch_size=1)
+    if paper_loss:
+        recipe = replace(recipe, full_heads=4, cross_entropy=0.0, volume_cross_entropy=0.0)
+    clock = Clock()
+    trainer = L.Trainer(
+        accelerator="cpu",
+        precision="bf16-mixed",
+        max_steps=steps,
+        callbacks=[clock],
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.fit(StereoModule(recipe, steps, 1), DataLoader([pair] * steps, batch_size=None))
+    return clock.seconds
+
+
+def measure(model: str, variant: str, height: int, width: int, repeats: int) -> dict[str, float]:
+    """Median time after one step of warming up, and peak memory of this process."""
+    pair = random_pair(height, width)
+    if variant == "authors":
+        seconds = list(islice(authors_steps(model, pair), repeats + 1))
+    else:
+        seconds = our_steps(model, pair, variant == "paper loss", repeats + 1)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+    return {"seconds": statistics.median(seconds[1:]), "peak": peak}
+
+
+def measure_apart(arguments: argparse.Namespace, model: str, variant: str) -> dict[str, float]:
+    """`measure` in a process of its own."""
+    size = [str(arguments.height), str(arguments.width), str(arguments.repeats)]
+    done = subprocess.run(
+        [sys.executable, __file__, "--one", model, variant, *size],
+        env={**os.environ, "OMP_NUM_THREADS": str(arguments.threads)},
+        stdout=subprocess.PIPE,
+        check=True,
+        text=True,
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--models", nargs="+", default=["msnet2d", "msnet3d"])
+    parser.add_argument("--height", type=int, default=256)
+    parser.add_argument("--width", type=int, default=512)
+    parser.add_argument("--repeats", type=int, default=5, help="timed steps, the median counts")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--one", nargs=5, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    if arguments.one:
+        model, variant, *numbers = arguments.one
+        print(json.dumps(measure(model, variant, *map(int, numbers))))
+        return
+    table = Table(
+        title=f"Training step, batch 1, {arguments.height} x {arguments.width}, "
+        f"{arguments.threads} threads, median of {arguments.repeats}"
+    )
+    table.add_column("network")
+    table.add_column("formulation")
+    for column in ("seconds", "times faster", "peak GiB"):
+        table.add_column(column, justify="right")
+    for model in arguments.models:
+        results = {name: measure_apart(arguments, model, name) for name in VARIANTS}
+        for name, result in results.items():
+            ratio = results["authors"]["seconds"] / result["seconds"]
+            cells = (f"{result['seconds']:.2f}", f"{ratio:.1f}", f"{result['peak']:.2f}")
+            table.add_row(model, VARIANTS[name], *cells)
+        table.add_section()
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""``msnet ablate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def ablate(
+    folder: Annotated[Path, typer.Argument(help="Folder of the runs, one folder each.")],
+    table: Annotated[
+        str, typer.Option(help="The paper's table: 2, 3a, 3b, appendix2d or appendix3d.")
+    ] = "2",
+    models: Annotated[
+        str | None, typer.Option(help="Networks instead of a table's, such as msnet2d,msnet3d.")
+    ] = None,
+    recipe: Annotated[
+        str, typer.Option(help="procedural, paper-sceneflow or paper-kitti2015.")
+    ] = "procedural",
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
+    ] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Override a value of the recipe; see msnet train."),
+    ] = None,
+    root: Annotated[Path | None, typer.Option(help="Folder of the recipe's data set.")] = None,
+    textures: Annotated[
+        Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
+    ] = None,
+    precision: Annotated[
+        str, typer.Option(help="Lightning's precision: 32-true, bf16-mixed, 16-mixed.")
+    ] = "32-true",
+    accelerator: Annotated[str, typer.Option(help="auto, cpu or gpu.")] = "auto",
+    workers: Annotated[int, typer.Option(help="Processes that read the data set's files.")] = 0,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+) -> None:
+    """Train and score several networks under one recipe, beside the paper's figures.
+
+    Start it again to go on where it stopped.
+    """
+    from rich.console import Console
+
+    from mobilestereonet.cli.assignments import parse_assignments
+    from mobilestereonet.training.ablate import ablate as run
+    from mobilestereonet.training.ablate import ablation_table, table_models
+    from mobilestereonet.training.recipe import get_recipe, override
+
+    values = parse_assignments(assignments or [])
+    if steps is not None:
+        values |= {"steps": steps, "epochs": None}
+    chosen = override(get_recipe(recipe), values)
+    names = models.split(",") if models else table_models(table)
+    rows = []
+    for row in run(
+        names,
+        chosen,
+        folder,
+        root=root,
+        textures=textures,
+        precision=precision,
+        accelerator=accelerator,
+        workers=workers,
+        progress=progress,
+    ):
+        rows.append(row)
+        print(f"{row.model}: EPE {row.figures['EPE']:.3f} px ({len(rows)} of {len(names)} done)")
+    Console().print(ablation_table(rows, chosen))
+    print(f"figures: {folder / 'ablation.json'}")

@@ -1,0 +1,57 @@
+"""``msnet data``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+data = typer.Typer(name="data", help="Look at data sets.", no_args_is_help=True)
+
+
+@data.command()
+def preview(
+    name: Annotated[str, typer.Argument(help="procedural, or a data set such as kitti2015.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="PNG file to write.")],
+    root: Annotated[Path | None, typer.Option(help="Folder of the data set.")] = None,
+    textures: Annotated[
+        Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, help="Pairs to show.")] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Which scenes, or which frames.")] = 0,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="An option of the data set, such as split=val, or of the scenes, such as "
+            "max_disparity=96. Repeat for more.",
+        ),
+    ] = None,
+) -> None:
+    """Draw a contact sheet: left, right, disparity and occlusion of some pairs."""
+    import numpy as np
+
+    from mobilestereonet.cli.assignments import parse_assignments
+    from mobilestereonet.data import open_data_set
+    from mobilestereonet.data.files import write_png
+    from mobilestereonet.data.synthetic import ProceduralScenes
+    from mobilestereonet.errors import InputError
+    from mobilestereonet.plots import contact_sheet
+    from mobilestereonet.training.recipe import get_recipe, override
+
+    options = parse_assignments(assignments or [])
+    if name == "procedural":
+        values = {f"scenes.{key}": value for key, value in {"seed": seed, **options}.items()}
+        config = override(get_recipe("procedural"), values).scenes
+        scenes = ProceduralScenes(config, textures=textures)
+        samples = (scenes[index] for index in range(count))
+    elif root is None:
+        raise InputError(f"data set {name} needs its folder: --root DIR")
+    else:
+        pairs = open_data_set(name, root, **options)
+        count = min(count, len(pairs))
+        chosen = np.random.default_rng(seed).choice(len(pairs), count, replace=False)
+        samples = (pairs[index] for index in sorted(chosen.tolist()))
+    write_png(output, contact_sheet(samples))
+    print(f"{output}: {count} pairs of {name}")

@@ -1,0 +1,25 @@
+"""``msnet plot-run``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def plot_run(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run of `msnet train`.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="PNG file. [default: FOLDER/curves.png]")
+    ] = None,
+) -> None:
+    """Draw the curves of a run, all its starts together."""
+    from mobilestereonet.plots import plot_curves
+
+    logs = sorted(folder.glob("csv/version_*/metrics.csv"), key=lambda log: log.stat().st_mtime)
+    if not logs:
+        raise FileNotFoundError(f"{folder}: no csv/version_*/metrics.csv in it: is it a run?")
+    picture = output or folder / "curves.png"
+    plot_curves(logs, picture)
+    print(f"{picture}: curves of {len(logs)} start{'s' if len(logs) > 1 else ''}")

@@ -1,0 +1,29 @@
+import cv2
+import pytest
+
+from mobilestereonet.cli.plot_run import plot_run
+
+
+def _log(folder, version, rows):
+    path = folder / "csv" / f"version_{version}" / "metrics.csv"
+    path.parent.mkdir(parents=True)
+    lines = ["epoch,step,train/loss,val/epe", *(f"0,{step},{loss}," for step, loss in rows)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_all_starts_of_a_run(tmp_path, capsys):
+    _log(tmp_path, 0, [(9, 5.0), (19, 4.0)])
+    plot_run(tmp_path)
+    assert "curves of 1 start\n" in capsys.readouterr().out
+    one = cv2.imread(str(tmp_path / "curves.png"))
+    _log(tmp_path, 1, [(19, 4.1), (29, 3.0)])
+    plot_run(tmp_path, tmp_path / "new" / "both.png")
+    assert "curves of 2 starts" in capsys.readouterr().out
+    both = cv2.imread(str(tmp_path / "new" / "both.png"))
+    assert one.shape == both.shape and (one != both).any()
+
+
+def test_no_run(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"metrics\.csv"):
+        plot_run(tmp_path)
+    assert not (tmp_path / "curves.png").exists()

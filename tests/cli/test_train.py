@@ -1,0 +1,54 @@
+"""The commands around training, as a user runs them; what they do is tested elsewhere."""
+
+import sys
+
+import pytest
+
+from mobilestereonet.cli.main import main
+
+
+@pytest.fixture
+def msnet(monkeypatch, capsys):
+    """Runs the command line; gives exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "RUN", "--set", "colour=red"], "no value 'colour'"),
+        (["train", "RUN", "--set", "lr"], "'lr': write it as key=value"),
+        (["train", "RUN", "--set", "lr=fast"], "lr must be float"),
+        (["train", "RUN", "--recipe", "fast"], "unknown recipe"),
+        (["train", "RUN", "--recipe", "paper-kitti2015"], "--root DIR"),
+        (["train", "RUN", "--set", "model=msnet4d"], "unknown model"),
+        (["train", "RUN", "--set", "max_disparity=100"], "multiple of 16"),
+        (["train", "RUN", "--weights", "RUN/none.safetensors"], "none.safetensors"),
+        (["train", "RUN", "--resume"], "RUN"),
+        (["train", "RUN", "--precision", "fp99"], "fp99"),
+        (["ablate", "RUN", "--table", "7"], "unknown table"),
+        (["ablate", "RUN", "--models", "msnet4d"], "unknown model"),
+        (["plot-run", "RUN"], "metrics.csv"),
+        (["data", "preview", "kitti2015", "-o", "RUN/x.png"], "--root DIR"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, words, msnet, tmp_path):
+    run = tmp_path / "run"
+    code, out, err = msnet(*(text.replace("RUN", str(run)) for text in arguments))
+    assert code == 2 and out == ""
+    assert err.startswith("msnet: ") and err.count("\n") == 1
+    assert words.replace("RUN", str(run)) in err
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize("command", ["train", "ablate", "plot-run", "data", "data preview"])
+def test_help(command, msnet):
+    code, out, _ = msnet(*command.split(), "--help")
+    assert code == 0 and "Usage" in out

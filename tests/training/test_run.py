@@ -1,0 +1,161 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from mobilestereonet.data import write_pfm, write_png
+from mobilestereonet.data.augment import AugmentConfig
+from mobilestereonet.data.synthetic import SceneConfig
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import create_model
+from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
+from mobilestereonet.training.recipe import Recipe, read_recipe
+from mobilestereonet.training.run import RunData, train
+from mobilestereonet.weights import load_weights, save_weights
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+RECIPE = Recipe(
+    model="table3a-v1-v1",
+    max_disparity=32,
+    scenes=SceneConfig(
+        height=48, width=64, max_disparity=20, min_disparity=4, noise_textures=16, texture_size=32
+    ),
+    augment=AugmentConfig(height=32, width=48),
+    val_scenes=1,
+    batch_size=1,
+    steps=2,
+    ema=0.9,
+)
+
+
+def _train(folder, recipe=RECIPE, **options):
+    return train(recipe, folder, accelerator="cpu", progress=False, **options)
+
+
+def test_a_run_and_its_folder(tmp_path):
+    folder = tmp_path / "new" / "run"
+    module = _train(folder)
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"recipe.json", "last.ckpt", "csv", "tensorboard", "weights.safetensors"}
+    assert read_recipe(folder / "recipe.json") == RECIPE
+    weights = load_file(folder / "weights.safetensors")
+    saved = load_weights(folder / "weights.safetensors").state_dict()
+    for name, value in module.net.named_parameters():
+        assert torch.equal(saved[name], value.half().float()), name
+
+    with pytest.raises(InputError, match="holds a run already"):
+        _train(folder)
+    # Nothing is left to do, but the weights were lost: they are the averaged ones again.
+    (folder / "weights.safetensors").unlink()
+    _train(folder, resume=True)
+    again = load_file(folder / "weights.safetensors")
+    assert all(torch.equal(again[name], weights[name]) for name in weights)
+    current = torch.load(folder / "last.ckpt", weights_only=False)["current_model_state"]
+    name = "heads.1.score.weight"
+    assert not torch.equal(weights[name], current[f"net.{name}"].half())
+
+
+def test_initial_weights(tmp_path):
+    initial = tmp_path / "initial.safetensors"
+    torch.manual_seed(99)
+    save_weights(create_model(RECIPE.model, max_disparity=32), initial, dtype=torch.float32)
+    before = load_file(initial)
+    recipe = replace(RECIPE, steps=1, lr=1e-9, ema=0.0)
+    after = _train(tmp_path / "run", recipe, initial=initial).net.state_dict()
+    for name in ("features.first.0.0.weight", "heads.1.score.weight"):
+        assert torch.allclose(after[name], before[name], atol=1e-7)
+    with pytest.raises(InputError, match="do not fit table3a-v1-v1 with max_disparity = 64"):
+        _train(tmp_path / "other", replace(recipe, max_disparity=64), initial=initial)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"precision": "fp99"}, "Precision 'fp99'"),
+        ({"max_time": "3h"}, "DD:HH:MM:SS"),
+        ({"resume": True}, "nothing to resume"),
+        ({"recipe": replace(RECIPE, model="msnet4d")}, "unknown model"),
+        ({"recipe": replace(RECIPE, data="kitti2015")}, "--root"),
+    ],
+)
+def test_refused_settings(options, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        _train(tmp_path / "run", **options)
+
+
+def test_wrong_number_of_processes(tmp_path, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(InputError, match="2 processes were started for 1 x 1 devices"):
+        _train(tmp_path / "run")
+
+
+def test_every_process_validates_something():
+    data = RunData(replace(RECIPE, val_scenes=3), None, None, 0)
+    shares = []
+    for rank in range(2):
+        data.trainer = SimpleNamespace(
+            world_size=2, global_rank=rank, strategy=SimpleNamespace(root_device="cpu")
+        )
+        data.setup("fit")
+        shares.append([sample.name for sample in data.val_dataloader()])
+    assert shares == [["scene 0", "scene 2"], ["scene 1"]]
+    data.trainer.world_size = 4
+    with pytest.raises(InputError, match="3 validation pairs are too few for 4 processes"):
+        data.val_dataloader()
+
+
+def test_validation_scenes_are_not_trained_on():
+    train_scenes, val_scenes = RunData(RECIPE, None, None, 0).sources("cpu")
+    assert not torch.allclose(train_scenes[0].left, val_scenes[0].left, atol=0.1)
+
+
+def test_files_of_any_size(tmp_path):
+    rng = np.random.default_rng(0)
+    for index in range(3):
+        size = (50 + index, 70)
+        for side in ("left", "right"):
+            view = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
+            write_png(tmp_path / f"data/{side}/{index}.png", view)
+        truth = rng.uniform(1, 20, size).astype(np.float32)
+        write_pfm(tmp_path / f"data/disparity/{index}.pfm", truth)
+    options = {"disparity": "disparity/*.pfm"}
+    recipe = replace(
+        RECIPE, data="folder", data_options=options, val_options=options, steps=None, epochs=2,
+        batch_size=2, val_every=1,
+    )  # fmt: skip
+    module = _train(tmp_path / "run", recipe, root=tmp_path / "data")
+    assert module.steps == 3  # two passes over three pairs, two at a time
+    log = (tmp_path / "run/csv/version_0/metrics.csv").read_text().splitlines()
+    column = log[0].split(",").index("val/epe")
+    figures = [float(row.split(",")[column]) for row in log[1:] if row.split(",")[column]]
+    assert len(figures) == 3 and all(0 < figure < 32 for figure in figures)
+
+
+def test_time_limit_starts_anew():
+    limit = TimeLimit("00:00:01:00")
+    limit.load_state_dict({"time_elapsed": {"train": 1e6}})
+    assert limit.time_remaining() == 60
+
+
+def test_time_is_up(tmp_path):
+    _train(tmp_path, replace(RECIPE, steps=10_000, save_every=10_000), max_time="00:00:00:01")
+    step = torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"]
+    assert 0 < step < 1000 and (tmp_path / "weights.safetensors").is_file()
+
+
+def test_a_checkpoint_is_whole_or_absent(tmp_path, monkeypatch):
+    path = tmp_path / "last.ckpt"
+    AtomicCheckpoints().save_checkpoint({"step": 1}, path)
+
+    def fail(checkpoint, file):
+        file.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", fail)
+    with pytest.raises(KeyboardInterrupt):
+        AtomicCheckpoints().save_checkpoint({"step": 2}, path)
+    assert torch.load(path) == {"step": 1}
