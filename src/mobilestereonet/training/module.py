@@ -26,6 +26,7 @@ from mobilestereonet.nets import SIZE_MULTIPLE, create_model
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
+from mobilestereonet.training.depthwise import speed_up_depthwise
 from mobilestereonet.training.losses import cross_entropy_sum, smooth_l1_sum, trained_pixels
 from mobilestereonet.training.recipe import Recipe
 
@@ -198,6 +199,7 @@ def _lay_out(net: nn.Module) -> None:
     """
     convert_conv2d_weight_memory_format(net, torch.channels_last)
     convert_conv3d_weight_memory_format(net, torch.channels_last_3d)
+    speed_up_depthwise(net)
     for module in net.modules():
         if isinstance(module, nn.Conv2d) and module.groups > 1 and module.dilation != (1, 1):
             module.weight.data = module.weight.data.clone(memory_format=torch.contiguous_format)

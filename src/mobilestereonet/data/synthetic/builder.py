@@ -292,7 +292,7 @@ class Builder:
             diffuse=rng.uniform(0.3, 1.0),
             reach=1e4 if outdoors else far * self.log_uniform(1.5, 8),
             shininess=self.log_uniform(4, 60),
-            brightness=rng.uniform(0.18, 0.48),
+            brightness=rng.uniform(0.2, 0.48),
             surfaces=self._surfaces(),
             kind=kind,
         )
