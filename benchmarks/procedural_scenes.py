@@ -58,7 +58,7 @@ def main() -> None:
             / seconds_per_batch(scenes, arguments.batch_size, arguments.batches, augmented)
             for augmented in (False, True)
         ]
-        name = device if device == "cuda" else f"{device}, {threads} threads"
+        name = device if device == "cuda" else f"{device}, {threads} thread{'s' * (threads > 1)}"
         table.add_row(name, *(f"{rate:.2f}" for rate in rates))
     Console().print(table)
 

@@ -169,3 +169,14 @@ def test_data_without_ground_truth():
     batch = replace(_batch(1), disparity=None, valid=None)
     with pytest.raises(InputError, match="1 has no ground truth"):
         _fit([batch])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_volume_loss_by_hand():
+    """Plane k of a volume compares columns at disparity 4 k."""
+    volume = torch.tensor([0.5, 2.0, 1.0]).view(1, 1, 3, 1, 1)
+    module, mask = StereoModule(RECIPE, 10, 8), torch.ones(1, 4, 4, dtype=torch.bool)
+    log_p = torch.log_softmax(4 * volume.flatten(), dim=0)
+    for disparity, expected in ((4.0, log_p[1]), (6.0, (log_p[1] + log_p[2]) / 2)):
+        loss = module._volume_loss(volume, torch.full((1, 4, 4), disparity), mask)
+        assert loss.item() == pytest.approx(-16 * expected.item(), rel=1e-5)

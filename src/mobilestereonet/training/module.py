@@ -12,7 +12,7 @@ import lightning as L
 import torch
 import torch.distributed as dist
 from lightning.pytorch.loggers import TensorBoardLogger
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.utils import (
     convert_conv2d_weight_memory_format,
     convert_conv3d_weight_memory_format,
@@ -51,7 +51,10 @@ class StereoModule(L.LightningModule):
         self.net = create_model(recipe.model, max_disparity=recipe.max_disparity)
         if recipe.zero_residuals:
             self.net.zero_residuals()
-        _lay_out(self.net)
+        # Several times faster on a CPU.
+        convert_conv2d_weight_memory_format(self.net, torch.channels_last)
+        convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
+        speed_up_depthwise(self.net)
         self.val_metrics = StereoMetrics(recipe.max_disparity)
         self.recipe = recipe
         self.steps = steps
@@ -189,22 +192,3 @@ class StereoModule(L.LightningModule):
                     logger.experiment.add_image(
                         f"val/{name}", picture, self.global_step, dataformats="HWC"
                     )
-
-
-def _lay_out(net: nn.Module) -> None:
-    """Channels last, several times faster on a CPU, wherever that is right.
-
-    oneDNN's bfloat16 gradient of a dilated depthwise weight is uninitialised memory when the
-    input is channels last (PyTorch 2.13): those layers see their input in the default layout.
-    """
-    convert_conv2d_weight_memory_format(net, torch.channels_last)
-    convert_conv3d_weight_memory_format(net, torch.channels_last_3d)
-    speed_up_depthwise(net)
-    for module in net.modules():
-        if isinstance(module, nn.Conv2d) and module.groups > 1 and module.dilation != (1, 1):
-            module.weight.data = module.weight.data.clone(memory_format=torch.contiguous_format)
-            module.register_forward_pre_hook(_contiguous_on_cpu)
-
-
-def _contiguous_on_cpu(module: nn.Module, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    return tuple(x.contiguous() if x.device.type == "cpu" else x for x in inputs)
