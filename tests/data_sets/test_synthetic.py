@@ -235,6 +235,12 @@ def test_every_layout_covers_the_view(kind):
     assert sample.occluded.any() and sample.occluded.float().mean() < 0.6
 
 
+def test_slanted_backdrops_cover_wide_views():
+    config = replace(SMALL, max_disparity=192, kinds={"planes": 1.0}, noise_textures=4, rays=1)
+    # Of the first hundred scenes those in which a wall as slanted as any ended within the view.
+    assert ProceduralScenes(config).batch([13, 35, 53, 60]).valid.all()
+
+
 def test_disparities_spread_over_range_and_fractions(scenes):
     disparity = torch.cat([scenes.batch(range(at, at + 12)).disparity for at in range(0, 60, 12)])
     largest = disparity.flatten(1).quantile(0.98, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 
 import typer
 
@@ -32,6 +33,8 @@ app.add_typer(data)
 
 def main() -> None:
     """Run the command line; bad input ends with one line on stderr and exit code 2."""
+    # Users want the words, not the line of code that says them.
+    warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
     try:
         app()
     except (InputError, OSError) as error:

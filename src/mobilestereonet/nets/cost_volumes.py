@@ -9,7 +9,7 @@ them once per disparity).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
 import torch
@@ -37,74 +37,49 @@ def _pad_left(parts: Sequence[Tensor], planes: int) -> list[Tensor]:
     return padded + [torch.zeros_like(padded[0])] * (planes - len(parts))
 
 
-def _widths(planes: int, width: int) -> list[int]:
-    return [width - i for i in range(min(planes, width))]
-
-
-class _Pack(torch.autograd.Function):
-    """(D B, ..., W) -> (B, ..., P): the columns x >= i of every plane i, side by side."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, planes: int) -> Tensor:
-        ctx.planes, ctx.width = planes, x.shape[-1]
-        parts = x.chunk(planes)[: ctx.width]
-        return torch.cat([plane[..., i:] for i, plane in enumerate(parts)], dim=-1)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        parts = torch.split(grads[0], _widths(ctx.planes, ctx.width), dim=-1)
-        return torch.cat(_pad_left(parts, ctx.planes)), None
-
-
-class _Unpack(torch.autograd.Function):
-    """(B, ..., P) -> (D B, ..., W): the inverse of `_Pack`, zero elsewhere."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, planes: int, width: int) -> Tensor:
-        ctx.planes = planes
-        return torch.cat(_pad_left(torch.split(x, _widths(planes, width), dim=-1), planes))
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
-        return _Pack.forward(ctx, grads[0], ctx.planes), None, None
-
-
 class _ShiftedSums(torch.autograd.Function):
-    """The packed planes of `_shifted_sum`, spared the slow backward pass of their slices."""
+    """Both views' shares of the first convolution -> its result for all planes, as rows.
+
+    Plane i is the left shares from column i on plus the right shares from column 0 on. At the
+    borders of such a crop the convolution sees zeros: the left shares of its first column and the
+    right shares of its last column come from tensors of their own.
+    """
 
     @staticmethod
     def forward(ctx: Any, planes: int, *shares: Tensor) -> Tensor:
-        ctx.widths = _widths(planes, shares[0].shape[-1])
-        return torch.cat([_shifted_sum(i, *shares) for i in range(len(ctx.widths))], dim=-1)
+        ours, ours_first, theirs, theirs_last = (share.permute(0, 2, 3, 1) for share in shares)
+        batch, height, width, channels = ctx.shape = ours.shape
+        ctx.rows = [batch * height * (width - i) for i in range(min(planes, width))]
+        rows = ours.new_empty(sum(ctx.rows), channels)
+        for i, block in enumerate(_ShiftedSums.blocks(rows, ctx.rows, ctx.shape)):
+            end = width - i
+            torch.add(ours[:, :, i:], theirs[:, :, :end], out=block)
+            if i:
+                block[:, :, 0] = ours_first[:, :, i] + theirs[:, :, 0]
+                last = ours[:, :, -1] if end > 1 else ours_first[:, :, -1]
+                block[:, :, -1] = last + theirs_last[:, :, end - 1]
+        return rows
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        first, *others = torch.split(grads[0], ctx.widths, dim=-1)
+        first, *others = _ShiftedSums.blocks(grads[0], ctx.rows, ctx.shape)
         ours, theirs = first.float(), first.float()
         ours_first, theirs_last = torch.zeros_like(ours), torch.zeros_like(ours)
-        for i, grad in enumerate(others, start=1):
-            end = grad.shape[-1]
-            ours[..., i + 1 :] += grad[..., 1:]
-            ours_first[..., i] += grad[..., 0]
-            theirs[..., : end - 1] += grad[..., :-1]
-            theirs_last[..., end - 1] += grad[..., -1]
-        dtype = grads[0].dtype
-        return None, *(total.to(dtype) for total in (ours, ours_first, theirs, theirs_last))
+        for i, block in enumerate(others, start=1):
+            end = block.shape[2]
+            block = block.float()
+            ours[:, :, i + 1 :] += block[:, :, 1:]
+            ours_first[:, :, i] += block[:, :, 0]
+            theirs[:, :, : end - 1] += block[:, :, :-1]
+            theirs_last[:, :, end - 1] += block[:, :, -1]
+        totals = (ours, ours_first, theirs, theirs_last)
+        return None, *(total.to(first.dtype).permute(0, 3, 1, 2) for total in totals)
 
-
-def _shifted_sum(
-    i: int, ours: Tensor, ours_first: Tensor, theirs: Tensor, theirs_last: Tensor
-) -> Tensor:
-    """Columns i .. W - 1 of plane i: left shares plus right shares from i columns before.
-
-    The crop's first left column and last right column come from tensors of their own.
-    """
-    if i == 0:
-        return ours + theirs
-    end = ours.shape[-1] - i
-    left = torch.cat((ours_first[..., i : i + 1], ours[..., i + 1 :]), dim=-1)
-    right = torch.cat((theirs[..., : end - 1], theirs_last[..., end - 1 : end]), dim=-1)
-    return left + right
+    @staticmethod
+    def blocks(rows: Tensor, lengths: Sequence[int], shape: torch.Size) -> Iterator[Tensor]:
+        """The planes (B, H, W - i, C) of rows (P, C)."""
+        batch, height, _, channels = shape
+        return (plane.view(batch, height, -1, channels) for plane in rows.split(list(lengths)))
 
 
 class Correlation(nn.Module):
@@ -153,36 +128,33 @@ class LearnedVolume(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, 32, H, W) twice -> (B, 1, D, H, W)."""
-        shares = self._first_shares(left, right)
-        planes = self._train(shares) if self.training else self._evaluate(shares)
-        # Planes lie along the batch, which keeps every layer's input channels last.
-        return torch.stack(planes.chunk(self.planes), dim=2)
+        batch, _, height, width = left.shape
+        # Rows of channels, one per pixel that has a partner, plane after plane: batch norms see
+        # just these, each plane is an image in memory, and nothing is computed to be masked.
+        rows: Tensor = _ShiftedSums.apply(self.planes, *self._first_shares(left, right))  # type: ignore[no-untyped-call]
+        lengths = [batch * height * (width - i) for i in range(min(self.planes, width))]
+        rows = self._activate(rows, 0)
+        for layer in (1, 2):
+            planes = [
+                _conv_planes(rows.unflatten(0, (batch, height, -1)), self.conv[layer])
+                for rows in rows.split(lengths)
+            ]
+            rows = self._activate(torch.cat(planes), layer)
+        image = rows.view(1, 1, -1, rows.shape[1]).permute(0, 3, 1, 2)
+        parts = [
+            part.view(batch, 1, height, -1) for part in self.squeeze(image).flatten().split(lengths)
+        ]
+        return torch.stack(_pad_left(parts, self.planes), dim=2)
 
-    def _evaluate(self, shares: Sequence[Tensor]) -> Tensor:
-        """Three convolutions of every plane, masked: (D B, 1, H, W)."""
-        batch, width = len(shares[0]), shares[0].shape[-1]
-        parts = [_shifted_sum(i, *shares) for i in range(min(self.planes, width))]
-        column = torch.arange(width, device=parts[0].device)
-        plane = torch.arange(self.planes, device=parts[0].device).repeat_interleave(batch)
-        mask = (column >= plane[:, None]).to(parts[0].dtype)[:, None, None, None]
-        x = F.relu(self.norm[0](torch.cat(_pad_left(parts, self.planes)))) * mask
-        for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
-            x = F.relu(norm(conv(x))) * mask
-        return cast(Tensor, self.squeeze(x.squeeze(2)) * mask.squeeze(2))
-
-    def _train(self, shares: Sequence[Tensor]) -> Tensor:
-        """The same on packed columns, so that batch norms see only columns with a partner."""
-        width = shares[0].shape[-1]
-        packed = F.relu(self.norm[0](_ShiftedSums.apply(self.planes, *shares)))  # type: ignore[no-untyped-call]
-        for conv, norm in zip(self.conv[1:], self.norm[1:], strict=True):
-            planes = _Unpack.apply(packed, self.planes, width)  # type: ignore[no-untyped-call]
-            packed = _Pack.apply(conv(planes), self.planes)  # type: ignore[no-untyped-call]
-            packed = F.relu(norm(packed))
-        packed = self.squeeze(packed.squeeze(2))
-        return cast(Tensor, _Unpack.apply(packed, self.planes, width))  # type: ignore[no-untyped-call]
+    def _activate(self, rows: Tensor, layer: int) -> Tensor:
+        """Batch norm and ReLU of a convolution's result (P, depth C)."""
+        channels = cast(nn.Conv3d, self.conv[layer]).out_channels
+        image = rows.view(1, 1, -1, 1, channels).permute(0, 4, 1, 2, 3)
+        image = F.relu(self.norm[layer](image), inplace=True)
+        return image.permute(0, 2, 3, 4, 1).reshape(rows.shape)
 
     def _first_shares(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Each view's share of the first convolution, for `_shifted_sum`: (B, 16, depth, H, W)."""
+        """Each view's share of the first convolution, for `_ShiftedSums`: (B, depth 16, H, W)."""
         conv = cast(nn.Conv3d, self.conv[0])
         weight = conv.weight.squeeze(1)  # (16, k, 3, 3)
         depth = 2 * REDUCED_CHANNELS // weight.shape[1]
@@ -199,8 +171,7 @@ class LearnedVolume(nn.Module):
             view: Tensor, kernel: Tensor, bias: Tensor | None, pad: tuple[int, int]
         ) -> Tensor:
             y: Tensor = F.conv2d(F.pad(view, (*pad, 1, 1)), kernel, bias)
-            y = y.unflatten(1, (depth, -1)).transpose(1, 2)
-            return y.contiguous(memory_format=torch.channels_last_3d)
+            return y.contiguous(memory_format=torch.channels_last)
 
         assert conv.bias is not None
         bias = conv.bias.repeat(depth)
@@ -210,6 +181,20 @@ class LearnedVolume(nn.Module):
             share(right, theirs, None, (1, 1)),
             share(right, theirs[..., :2], None, (1, 0)),
         )
+
+
+def _conv_planes(plane: Tensor, conv: nn.Module) -> Tensor:
+    """A 3D convolution whose stride is its depth, of one plane (B, H, W, depth C) -> rows.
+
+    With the steps along the depth side by side in a row of the image, it is a 2D convolution
+    dilated by their number.
+    """
+    conv = cast(nn.Conv3d, conv)
+    weight = conv.weight.transpose(1, 2).flatten(1, 2)  # (outputs, depth C, 3, 3)
+    steps = plane.shape[3] // weight.shape[1]
+    image = plane.view(*plane.shape[:2], -1, weight.shape[1]).permute(0, 3, 1, 2)
+    y: Tensor = F.conv2d(image, weight, conv.bias, padding=(1, steps), dilation=(1, steps))
+    return y.permute(0, 2, 3, 1).reshape(-1, steps * conv.out_channels)
 
 
 def build_cost_volume(config: NetConfig) -> Correlation | LearnedVolume:

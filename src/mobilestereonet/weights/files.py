@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
@@ -58,7 +58,7 @@ def save_weights(
     if card is not None:
         text = json.dumps(card, indent=2, ensure_ascii=False) + "\n"
         write_atomically(path.with_suffix(".json"), lambda file: file.write_text(text, "utf-8"))
-    write_atomically(path, lambda file: save_file(tensors, file, metadata))
+    write_atomically(path, lambda file: file.write_bytes(save(tensors, metadata)))
 
 
 def load_weights(path: str | Path) -> StereoNet:

@@ -29,8 +29,10 @@ from mobilestereonet.data.synthetic.things import (
 
 
 def _backdrop(build: Builder, depth: float, kind: int | None = None, tilt: float = 0.0) -> None:
-    """A wall across the whole view, perpendicular to the optical axis but for ``tilt``."""
-    half = 3 * depth * max(build.width, build.height) / build.focal + 2 * build.baseline
+    """A wall across the whole view, perpendicular to the optical axis but for up to ``tilt``."""
+    view = max(build.width, build.height) / build.focal
+    half = 6 * depth * view + 2 * build.baseline
+    tilt = min(tilt, float(np.arctan(1.1 / view)))  # a wide view would look past its end
     x, y, _ = half * (build.rotation.T @ turns(build.rng.uniform(-tilt, tilt))[0]).T
     centre = build.rotation[2] * depth
     build.rectangles(centre[None], x[None], y[None], build.material(1, depth, kind))

@@ -293,7 +293,8 @@ def shade_images(
         rays = Rays(
             x=x,
             y=y[rows],
-            disparity=disparity[part, :, rows].contiguous(),
+            # A ray may slip through a seam between surfaces: finite for all that.
+            disparity=disparity[part, :, rows].clamp_min(1e-4),
             surface=surface[part, :, rows].contiguous(),
             light=materials.light[part],
             lamp=(lamp[0][part], lamp[1][part]),
