@@ -101,12 +101,10 @@ def table(records: list[dict]) -> Table:
 
 def summary(model: str, records: list[dict]) -> str:
     real = [r for r in records if r["set"] not in SYNTHETIC]
-    # scikit-image's Motorcycle is one of MiddEval3's scenes: it counts only where it stands alone.
-    others = [r for r in real if r["set"] != "skimage"] or real
     return (
-        f"{model}: {len(others)} real pairs, median D1 "
-        f"{statistics.median(r['d1'] for r in others):.2f} %, "
-        f"mean EPE {statistics.mean(r['epe'] for r in others):.2f} px"
+        f"{model}: {len(real)} real pairs, median D1 "
+        f"{statistics.median(r['d1'] for r in real):.2f} %, "
+        f"mean EPE {statistics.mean(r['epe'] for r in real):.2f} px"
     )
 
 
