@@ -1,8 +1,11 @@
 """Calibration files, on texts as the public sets ship them."""
 
+import cv2
+import numpy as np
 import pytest
 
-from mobilestereonet.data import read_calibration
+from mobilestereonet.data import Calibration, read_calibration
+from mobilestereonet.data.camera_yaml import read_rig
 from mobilestereonet.errors import InputError
 
 MIDDLEBURY = """cam0=[999.421 0 294.182; 0 999.421 252.932; 0 0 1]
@@ -91,3 +94,147 @@ def test_refused(tmp_path, text, message):
 def test_missing_file(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.txt"):
         read_calibration(tmp_path / "none.txt")
+
+
+# A pair whose right camera stands 0.12 m to the right, with another principal point.
+FOCAL, BASELINE, LEFT_CX, RIGHT_CX, CY = 700.0, 0.12, 320.0, 332.0, 240.0
+ROS = """image_width: 640
+image_height: 480
+camera_name: narrow_stereo/right
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [712.0, 0.0, 318.0, 0.0, 711.0, 243.0, 0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [700.0, 0.0, {cx}, {shift}, 0.0, 700.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""
+ROS_RIGHT = ROS.format(cx=RIGHT_CX, shift=-FOCAL * BASELINE)
+ROS_LEFT = ROS.format(cx=LEFT_CX, shift=0.0)
+
+
+def test_ros_takes_the_right_camera_and_both(tmp_path):
+    alone = calibration_of(tmp_path, ROS_RIGHT)
+    assert (alone.focal, alone.cx, alone.cy, alone.doffs) == (FOCAL, RIGHT_CX, CY, 0)
+    assert alone.baseline == pytest.approx(BASELINE)
+    left = tmp_path / "left.yaml"
+    left.write_text(ROS_LEFT)
+    both = calibration_of(tmp_path, ROS_RIGHT, left=left)
+    assert (both.cx, both.doffs) == (LEFT_CX, RIGHT_CX - LEFT_CX)
+    assert both.baseline == pytest.approx(BASELINE)
+
+
+def test_ros_message_as_it_is_printed(tmp_path):
+    message = (
+        "header:\n  seq: 1\nheight: 480\nwidth: 640\nD: [0.0, 0.0]\n"
+        "K: [712.0, 0.0, 318.0, 0.0, 711.0, 243.0, 0.0, 0.0, 1.0]\n"
+        "P: [700.0, 0.0, 332.0, -84.0, 0.0, 700.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]\n---\n"
+    )
+    for text in (message, message.replace("P:", "p:"), message * 2):
+        assert calibration_of(tmp_path, text).baseline == pytest.approx(0.12)
+
+
+def opencv_file(path, unit=1.0, **values):
+    """Write with OpenCV's own writer what OpenCV's own rectification gives."""
+    intrinsics = np.array([[FOCAL, 0, LEFT_CX], [0, FOCAL, CY], [0, 0, 1]])
+    other = intrinsics.copy()
+    other[0, 2] = RIGHT_CX
+    translation = np.array([[-BASELINE * unit], [0], [0]])
+    flags = {"flags": 0, "alpha": -1}
+    _, _, p1, p2, q, *_ = cv2.stereoRectify(
+        intrinsics, np.zeros(5), other, np.zeros(5), (640, 480), np.eye(3), translation, **flags
+    )
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in ({"P1": p1, "P2": p2, "Q": q} | values).items():
+        if value is not None:
+            storage.write(name, value)
+    storage.release()
+    # What OpenCV itself makes of a disparity of 20 px in the middle of the picture.
+    return cv2.reprojectImageTo3D(np.full((480, 640), 20, np.float32), q)[240, 320] / unit
+
+
+@pytest.mark.parametrize("left_out", [{"Q": None}, {"P1": None, "P2": None}])
+@pytest.mark.parametrize("unit", [None, "m", "mm"])
+def test_opencv(tmp_path, left_out, unit):
+    path = tmp_path / "extrinsics.yml"
+    x, y, z = opencv_file(path, unit=1000 if unit == "mm" else 1, **left_out)
+    result = read_calibration(path, unit=unit)
+    depth = result.focal * result.baseline / (20 + result.doffs)
+    assert depth == pytest.approx(z, rel=1e-5)
+    assert (320 - result.cx) / result.focal * depth == pytest.approx(x, abs=1e-5)
+    assert (240 - result.cy) / result.focal * depth == pytest.approx(y, abs=1e-5)
+    assert result.baseline == pytest.approx(BASELINE)
+    assert result.doffs != 0
+
+
+def test_opencv_refused(tmp_path):
+    path = tmp_path / "stereo.yml"
+    opencv_file(path, unit=1000)
+    with pytest.raises(InputError, match=r"stereo\.yml: a baseline of 120 m is implausible"):
+        read_calibration(path)
+    opencv_file(path, P1=None, Q=None)
+    with pytest.raises(InputError, match="neither P1 and P2 nor Q"):
+        read_calibration(path)
+    opencv_file(path, P2=np.eye(3))
+    with pytest.raises(InputError, match="P2 must hold 3 x 4 numbers"):
+        read_calibration(path)
+    opencv_file(path, P1=None, Q=np.eye(4) * [1, 1, 0, 1])
+    with pytest.raises(InputError, match="Q has no baseline"):
+        read_calibration(path)
+    above = np.array([[700.0, 0, 320, 0], [0, 700, 240, -84], [0, 0, 1, 0]])
+    opencv_file(path, P2=above)
+    with pytest.raises(InputError, match="one above the other"):
+        read_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (ROS_LEFT, "left camera's file"),
+        (ROS_RIGHT.replace("1.0, 0.0]", "1.0]"), "projection_matrix must hold 12 numbers"),
+        (ROS_RIGHT.replace("-84.0", "84.0"), "baseline must be positive.*-0.12.*swapped"),
+        (ROS_RIGHT.replace("data: [700.0", "data: [-700.0"), "focal must be positive"),
+        (ROS_RIGHT + "  - [", "not a camera file in YAML"),
+        ("%YAML:1.0\n---\njust a word\n", "not a camera file in YAML: it has no names"),
+        ("%YAML:1.0\n---\nQ: !!opencv-matrix\n  rows: 4\n", "not a camera file in YAML"),
+    ],
+)
+def test_refused_yaml(tmp_path, text, message):
+    with pytest.raises(InputError, match=rf"calib\.txt: .*{message}"):
+        calibration_of(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "values", [{"focal": 0.0}, {"baseline": -1.0}, {"baseline": np.nan}, {"doffs": np.inf}]
+)
+def test_impossible_values_are_named(values):
+    with pytest.raises(InputError, match=f"{next(iter(values))} must be"):
+        Calibration(**({"focal": 1.0, "baseline": 1.0} | values))
+
+
+def test_rig_from_one_file_or_two(tmp_path):
+    camera, rotation = np.diag([500.0, 501.0, 1.0]), cv2.Rodrigues(np.array([0.0, 0.1, 0.0]))[0]
+    values = {"M1": camera, "D1": np.zeros(5), "M2": 2 * camera, "D2": np.ones((8, 1))}
+    pose = {"R": rotation, "T": np.array([[-60.0], [1.0], [2.0]])}
+    for name, content in {"in.yml": values, "ex.yml": pose, "all.yml": values | pose}.items():
+        storage = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+        for key, value in content.items():
+            storage.write(key, value)
+        if name != "ex.yml":
+            storage.write("image_width", 640)
+            storage.write("image_height", 480)
+        storage.release()
+    for files in (["all.yml"], ["in.yml", "ex.yml"]):
+        rig = read_rig(*(tmp_path / name for name in files), unit="mm")
+        np.testing.assert_allclose(rig.translation, [-0.06, 0.001, 0.002])
+        np.testing.assert_array_equal(rig.right, 2 * camera)
+        np.testing.assert_allclose(rig.rotation, rotation)
+        assert rig.left_distortion.shape == (5,)
+        assert rig.right_distortion.shape == (8,)
+        assert rig.size == (640, 480)
+    with pytest.raises(InputError, match=r"all\.yml: a baseline of 60\.04.* m is implausible"):
+        read_rig(tmp_path / "all.yml")
+    with pytest.raises(InputError, match=r"in\.yml: no T in the file, only M1"):
+        read_rig(tmp_path / "in.yml")

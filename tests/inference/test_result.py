@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -66,3 +68,23 @@ def test_picture_has_the_left_view_and_the_disparity(result, tmp_path):
     assert colours[0, 0, 2] > colours[0, 0, 0]  # far is blue
     assert colours[1, 1, 0] > colours[1, 1, 2]  # near is red
     assert not colours[1, 2].any()  # unknown is black
+
+
+def test_saved_confidence_and_check(result, tmp_path):
+    confidence = np.array([[0, 0.5, 1], [0.25, 0.75, 0.1]], np.float32)
+    occluded = np.array([[True, False, False], [False, True, False]])
+    full = replace(
+        result,
+        confidence=confidence,
+        right_disparity=2 * result.disparity,
+        occluded=occluded,
+    )
+    paths = full.save(tmp_path, "pair")
+    grey = cv2.imread(str(paths["confidence"]), cv2.IMREAD_UNCHANGED)
+    assert grey.tolist() == [[0, 128, 255], [64, 191, 26]]
+    np.testing.assert_array_equal(np.load(paths["confidence_npy"]), confidence)
+    np.testing.assert_array_equal(np.load(paths["right_npy"]), 2 * result.disparity)
+    levels = cv2.imread(str(paths["right_png"]), cv2.IMREAD_UNCHANGED)
+    assert levels.tolist() == [[1, 512, 1280], [51328, 0, 4608]]
+    mask = cv2.imread(str(paths["occluded"]), cv2.IMREAD_UNCHANGED)
+    assert mask.tolist() == [[255, 0, 0], [0, 255, 0]]

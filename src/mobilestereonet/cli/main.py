@@ -11,10 +11,13 @@ from mobilestereonet.cli.ablate import ablate
 from mobilestereonet.cli.cost import cost
 from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
+from mobilestereonet.cli.doctor import doctor
 from mobilestereonet.cli.evaluate import evaluate
+from mobilestereonet.cli.export import export
 from mobilestereonet.cli.models import models
 from mobilestereonet.cli.plot_run import plot_run
 from mobilestereonet.cli.predict import predict
+from mobilestereonet.cli.rectify import rectify
 from mobilestereonet.cli.submit import submit
 from mobilestereonet.cli.train import train
 from mobilestereonet.errors import InputError
@@ -26,7 +29,20 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (demo, predict, models, cost, evaluate, submit, train, ablate, plot_run):
+for command in (
+    demo,
+    predict,
+    doctor,
+    rectify,
+    models,
+    cost,
+    evaluate,
+    submit,
+    train,
+    ablate,
+    plot_run,
+    export,
+):
     app.command()(command)
 app.add_typer(data)
 

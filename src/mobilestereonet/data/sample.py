@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -35,8 +36,14 @@ class Calibration:
     def __post_init__(self) -> None:
         for name in ("focal", "baseline"):
             value = getattr(self, name)
-            if not 0 < value < float("inf"):
-                raise InputError(f"calibration: {name} must be positive and finite, got {value}")
+            if not 0 < value < math.inf:
+                hint = ": are the cameras swapped?" if name == "baseline" and value < 0 else ""
+                raise InputError(
+                    f"calibration: {name} must be positive and finite, got {value:g}{hint}"
+                )
+        for name in ("doffs", "cx", "cy"):
+            if not math.isfinite(getattr(self, name) or 0):
+                raise InputError(f"calibration: {name} must be finite, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

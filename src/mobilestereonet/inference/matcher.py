@@ -6,14 +6,17 @@ import math
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Literal, overload
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
 from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
@@ -38,6 +41,8 @@ class StereoMatcher:
         *,
         model: str | None = None,
         padding: tuple[int, int] | None = None,
+        tile: tuple[int, int] | Literal["auto"] | None = "auto",
+        left_right: bool = False,
     ) -> None:
         """Wrap an engine.
 
@@ -46,13 +51,26 @@ class StereoMatcher:
             model: What ``facts`` call it; by default told from the network's config.
             padding: Height and width to which every pair is padded; by default the next
                 multiples that the engine takes.
+            tile: Height and width of the overlapping tiles in which a larger pair is matched,
+                margins included; None for one piece at any size. By default `TILE`, for pairs
+                above `WHOLE_PIXELS`: Full HD fits into 4 GB in one piece, and any pair does in
+                tiles.
+            left_right: Results have the right view's disparity and the left-right check, for
+                twice the time.
+
+        Raises:
+            InputError: If both ``padding`` and ``tile`` are given.
         """
+        if padding is not None and tile not in ("auto", None):
+            raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         if isinstance(engine, StereoNet):
             model = model or _name(engine.config)
             engine = TorchRuntime(engine)
         self.runtime: Runtime = engine
         self.model = model or engine.name
         self.padding = padding
+        self.tile = tile
+        self.left_right = left_right
 
     @classmethod
     def from_pretrained(
@@ -152,6 +170,9 @@ class StereoMatcher:
         left, right = (torch.stack(views) for views in zip(*loaded, strict=True))
         started = time.perf_counter()
         disparities = self.disparity(left, right).cpu()
+        right_disparities: Sequence[Tensor | None] = [None] * len(loaded)
+        if self.left_right:
+            right_disparities = self.right_disparity(left, right).cpu().unbind()
         facts = {
             "model": self.model,
             "runtime": self.runtime.name,
@@ -160,13 +181,8 @@ class StereoMatcher:
             "seconds": (time.perf_counter() - started) / len(loaded),
         }
         return [
-            StereoResult(
-                left=to_picture(view),
-                disparity=disparity.contiguous().numpy(),
-                valid=disparity.isfinite().numpy(),
-                facts=dict(facts),
-            )
-            for view, disparity in zip(left, disparities, strict=True)
+            _result(*maps, dict(facts))
+            for maps in zip(left, disparities, right_disparities, strict=True)
         ]
 
     def disparity(self, left: Tensor, right: Tensor) -> Tensor:
@@ -180,13 +196,48 @@ class StereoMatcher:
             Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
 
         Raises:
-            InputError: If the shapes differ, or exceed the ``padding`` of this matcher.
+            InputError: If the shapes differ, or exceed the ``padding`` of this matcher, or if its
+                tiles are too small for their margins.
         """
         if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
             raise InputError(
                 "left and right must both be (B, 3, H, W), "
                 f"got {tuple(left.shape)} and {tuple(right.shape)}"
             )
+        tile = self._tile_for(*left.shape[-2:])
+        if tile is None:
+            return self._match_whole(left, right)
+        return match_in_tiles(
+            self._match_whole,
+            left,
+            right,
+            tile=tile,
+            max_disparity=self.runtime.max_disparity,
+            multiple=self.runtime.multiple,
+        )
+
+    def right_disparity(self, left: Tensor, right: Tensor) -> Tensor:
+        """Disparity of the right views: both are mirrored, and change places.
+
+        Args:
+            left: Left views, (B, 3, H, W) float, RGB in 0..1.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the right views in px, (B, H, W) float32: right pixel (x, y) matches left
+            pixel (x + disparity, y).
+
+        Raises:
+            InputError: As `disparity` does.
+        """
+        return self.disparity(right.flip(-1), left.flip(-1)).flip(-1)
+
+    def _tile_for(self, height: int, width: int) -> tuple[int, int] | None:
+        if self.tile != "auto":
+            return self.tile
+        return TILE if self.padding is None and height * width > WHOLE_PIXELS else None
+
+    def _match_whole(self, left: Tensor, right: Tensor) -> Tensor:
         height, width = left.shape[-2:]
         padded = self._padded_size(height, width)
         views = [normalise(view) if self.runtime.normalised else view for view in (left, right)]
@@ -202,6 +253,24 @@ class StereoMatcher:
                 f"{self.padding[0]} x {self.padding[1]}"
             )
         return self.padding
+
+
+def _result(
+    left: Tensor, disparity: Tensor, right_disparity: Tensor | None, facts: dict[str, Any]
+) -> StereoResult:
+    disparities = disparity.contiguous().numpy()
+    right = occluded = None
+    if right_disparity is not None:
+        right = right_disparity.contiguous().numpy()
+        occluded = occluded_pixels(disparities, right)
+    return StereoResult(
+        left=to_picture(left),
+        disparity=disparities,
+        valid=np.isfinite(disparities),
+        right_disparity=right,
+        occluded=occluded,
+        facts=facts,
+    )
 
 
 def _check_model(model: str | None, config: NetConfig, weights: str | Path) -> None:

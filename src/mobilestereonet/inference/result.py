@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,13 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_png
+from mobilestereonet.data.disparity_files import KITTI_SCALE, FloatMap, Mask, write_disparity_png
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.sample import Calibration
+from mobilestereonet.inference.geometry import (
+    PointCloud,
+    depth_edges,
+    depth_from_disparity,
+    point_cloud,
+)
 from mobilestereonet.plots import Picture, colour_disparity, side_by_side
-
-SMALLEST_DISPARITY = 1 / KITTI_SCALE
-"""Pixels of disparity, the step of KITTI's files: what is below has no depth."""
 
 _LARGEST_IN_PNG = 65535 / KITTI_SCALE
 
@@ -28,19 +33,26 @@ class StereoResult:
         left: Left view, (H, W, 3) uint8 RGB.
         disparity: (H, W) float32, in pixels of the left view.
         valid: (H, W) bool, False where the disparity is not known.
-        confidence: (H, W) float32 in 0..1, or None where it was not estimated.
+        confidence: (H, W) float32 in 0..1: how probable the network holds it that the disparity
+            is within 2 px of its estimate; None where it was not asked for.
+        right_disparity: (H, W) float32, in pixels of the right view, whose pixel (x, y) matches
+            left pixel (x + disparity, y); None where it was not asked for.
+        occluded: (H, W) bool, True where the left-right check fails: the right camera does not see
+            the pixel, or the match is wrong; None without ``right_disparity``.
         facts: What was run and how long it took: ``model``, ``runtime``, ``width``, ``height``,
             ``seconds`` (from the checked pair to the disparity; a pair's share of its batch).
     """
 
     left: Picture
-    disparity: NDArray[np.float32]
-    valid: NDArray[np.bool_]
-    confidence: NDArray[np.float32] | None = None
+    disparity: FloatMap
+    valid: Mask
+    confidence: FloatMap | None = None
+    right_disparity: FloatMap | None = None
+    occluded: Mask | None = None
     facts: dict[str, Any] = field(default_factory=dict)
 
-    def depth(self, calibration: Calibration) -> NDArray[np.float32]:
-        """Depth along the optical axis.
+    def depth(self, calibration: Calibration) -> FloatMap:
+        """Depth along the optical axis: focal * baseline / (disparity + doffs).
 
         Args:
             calibration: Geometry of the pair, for the left view's size.
@@ -49,17 +61,44 @@ class StereoResult:
             (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is
             where ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
         """
-        disparity = self.disparity + np.float32(calibration.doffs)
-        known = self.valid & (disparity >= SMALLEST_DISPARITY)
-        depth = calibration.focal * calibration.baseline / np.where(known, disparity, 1)
-        return np.where(known, depth, 0).astype(np.float32)
+        return depth_from_disparity(self.disparity, self.valid, calibration)
+
+    def points(
+        self,
+        calibration: Calibration,
+        *,
+        max_depth: float = math.inf,
+        min_confidence: float = 0.0,
+        edges: bool = False,
+    ) -> PointCloud:
+        """Coloured points in the left camera's frame.
+
+        Pixels that fail the left-right check, if there was one, give no point.
+
+        Args:
+            calibration: Geometry of the pair, for the left view's size.
+            max_depth: Farther points are left out, in metres.
+            min_confidence: Less confident ones are left out, if the confidence is known.
+            edges: True keeps the pixels at depth edges, which mix two surfaces (see
+                `depth_edges`).
+
+        Returns:
+            The points, row by row.
+        """
+        kept = self.valid if edges else self.valid & ~depth_edges(self.disparity, self.valid)
+        if self.confidence is not None:
+            kept = kept & (self.confidence >= min_confidence)
+        if self.occluded is not None:
+            kept = kept & ~self.occluded
+        depth = np.where(kept, self.depth(calibration), np.float32(0))
+        return point_cloud(np.where(depth <= max_depth, depth, 0), self.left, calibration)
 
     def picture(self) -> Picture:
         """The left view beside the coloured disparity, (H, 2 W + gap, 3) uint8 RGB."""
         return side_by_side([self.left, colour_disparity(self.disparity, valid=self.valid)])
 
     def save(self, folder: str | Path, stem: str) -> dict[str, Path]:
-        """Write the disparity and a picture, each file atomically.
+        """Write the maps and a picture, each file atomically.
 
         Args:
             folder: Folder to write to; made if it does not exist.
@@ -67,15 +106,34 @@ class StereoResult:
 
         Returns:
             Paths by kind: ``png`` (16 bit, disparity x 256 as in KITTI; 0 where unknown or 256 px
-            and more), ``pfm`` and ``npy`` (float32; infinite where unknown) and ``picture``.
+            and more), ``pfm`` and ``npy`` (float32; infinite where unknown) and ``picture``. With
+            a confidence: ``confidence`` (8-bit grey, 255 is sure) and ``confidence_npy``. With
+            the right view's disparity: ``right_png`` and ``right_npy`` likewise, ``occluded``
+            (8 bit, 255 where occluded).
         """
         folder = Path(folder)
-        paths = {kind: folder / f"{stem}_disparity.{kind}" for kind in ("png", "pfm", "npy")}
-        paths["picture"] = folder / f"{stem}_picture.png"
         disparity = np.where(self.valid, self.disparity, np.float32(np.inf))
-        storable = disparity <= _LARGEST_IN_PNG
-        write_disparity_png(paths["png"], disparity, storable)
-        write_pfm(paths["pfm"], disparity)
-        write_npy(paths["npy"], disparity)
-        write_png(paths["picture"], self.picture())
+        files: dict[str, tuple[str, Callable[[Path, NDArray[Any]], None], NDArray[Any]]] = {
+            "png": ("disparity.png", _write_storable, disparity),
+            "pfm": ("disparity.pfm", write_pfm, disparity),
+            "npy": ("disparity.npy", write_npy, disparity),
+            "picture": ("picture.png", write_png, self.picture()),
+        }
+        if self.confidence is not None:
+            grey = np.rint(255 * self.confidence).astype(np.uint8)
+            files["confidence"] = ("confidence.png", write_png, grey)
+            files["confidence_npy"] = ("confidence.npy", write_npy, self.confidence)
+        if self.right_disparity is not None:
+            files["right_png"] = ("right_disparity.png", _write_storable, self.right_disparity)
+            files["right_npy"] = ("right_disparity.npy", write_npy, self.right_disparity)
+        if self.occluded is not None:
+            files["occluded"] = ("occluded.png", write_png, np.uint8(255) * self.occluded)
+        paths = {}
+        for kind, (name, write, values) in files.items():
+            paths[kind] = folder / f"{stem}_{name}"
+            write(paths[kind], values)
         return paths
+
+
+def _write_storable(path: Path, disparity: FloatMap) -> None:
+    write_disparity_png(path, disparity, disparity <= _LARGEST_IN_PNG)

@@ -30,6 +30,11 @@ class Runtime(Protocol):
         """Height and width must be multiples of this; 1 takes any size."""
         ...
 
+    @property
+    def max_disparity(self) -> int:
+        """Disparities below this are searched, in px."""
+        ...
+
     def __call__(self, left: Tensor, right: Tensor) -> Tensor:
         """Match the views.
 

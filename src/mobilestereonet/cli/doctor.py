@@ -1,0 +1,42 @@
+"""``msnet doctor``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def doctor(
+    left: Annotated[Path, typer.Argument(help="Left view.")],
+    right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
+    max_disparity: Annotated[
+        int, typer.Option(min=1, help="Disparities that the network searches, in px.")
+    ] = 192,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Say whether a pair is fit for stereo matching, and what to do. Exit code 1: it is not."""
+    import json
+    from dataclasses import asdict
+
+    from rich.console import Console
+
+    from mobilestereonet.inference import load_pair
+    from mobilestereonet.inference.checks import check_pair
+    from mobilestereonet.plots import to_picture
+
+    colours = {"good": "green", "warning": "yellow", "problem": "red", "unknown": "yellow"}
+    views = [to_picture(view) for view in load_pair(left, right)]
+    findings = check_pair(views[0], views[1], max_disparity)
+    if as_json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        console = Console(highlight=False)
+        for finding in findings:
+            level = f"[{colours[finding.level]}]{finding.level:8}[/]"
+            console.print(f"{level} {finding.check}: {finding.text}", soft_wrap=True)
+            if finding.advice:
+                console.print(f"         -> {finding.advice}", soft_wrap=True)
+    if any(finding.level == "problem" for finding in findings):
+        raise typer.Exit(1)

@@ -1,0 +1,45 @@
+"""``msnet rectify``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def rectify(
+    left: Annotated[Path, typer.Argument(help="Left view as the camera gave it.")],
+    right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
+    calib: Annotated[
+        list[Path],
+        typer.Option(
+            help="OpenCV stereo calibration in YAML: M1 D1 M2 D2 R T. Repeat if it is in two files."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    unit: Annotated[
+        str | None,
+        typer.Option(help="Unit of T, m or mm: that of the board's squares."),
+    ] = None,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Keep all pixels, with black beyond the borders.")
+    ] = False,
+) -> None:
+    """Rectify a pair: left.png, right.png, and calib.txt for `msnet predict --calib`."""
+    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.data import read_image, write_png
+    from mobilestereonet.data.calibration import write_calibration
+    from mobilestereonet.data.camera_yaml import read_rig
+    from mobilestereonet.inference.rectify import rectify_pair
+
+    rig = read_rig(*calib, unit=unit)
+    pair = rectify_pair(read_image(left), read_image(right), rig, whole=whole)
+    make_folder(output)
+    *views, calibration = pair
+    for name, view in zip(("left.png", "right.png"), views, strict=True):
+        write_png(output / name, view)
+        print(output / name)
+    height, width = views[0].shape[:2]
+    write_calibration(output / "calib.txt", calibration, (width, height))
+    print(output / "calib.txt")

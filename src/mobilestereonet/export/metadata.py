@@ -1,0 +1,65 @@
+"""What an exported file says about itself."""
+
+from __future__ import annotations
+
+import mobilestereonet
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import SIZE_MULTIPLE, NetConfig, StereoNet
+from mobilestereonet.nets.normalise import IMAGENET_MEAN, IMAGENET_STD
+from mobilestereonet.runtimes.graph import narrowest
+from mobilestereonet.weights import card, embedded_models
+
+
+def describe(
+    config: NetConfig, model: str, *, embedded: bool, precision: str, size: tuple[int, int] | None
+) -> dict[str, str]:
+    """Everything that is needed to use a file without this package.
+
+    Args:
+        config: The network's config.
+        model: What the network is called.
+        embedded: Whether the weights are those that come with the package.
+        precision: Precision of the file.
+        size: Height and width that the file takes; None if it takes any.
+
+    Returns:
+        Texts by key.
+    """
+    known = embedded and model in embedded_models()
+    return {
+        "model": model,
+        "package": f"mobilestereonet {mobilestereonet.__version__}",
+        "licence": str(card(model)["licence"]) if known else "that of the weights file",
+        "precision": precision,
+        "inputs": "left, right: rectified views, float32, (1, 3, height, width)",
+        "colour_order": "RGB",
+        "value_range": "0..1",
+        "normalisation": "inside the graph: (value - mean) / std per channel",
+        "mean": _numbers(IMAGENET_MEAN),
+        "std": _numbers(IMAGENET_STD),
+        "size": "any" if size is None else "{} x {} (height x width)".format(*size),
+        "size_multiple": str(SIZE_MULTIPLE),
+        "padding": "with the mean colour, above and on the right; crop the disparity likewise",
+        "output": "disparity of the left view, float32, (1, height, width), in pixels",
+        "disparity_range": f"0..{config.max_disparity - 1}",
+    }
+
+
+def check_size(net: StereoNet, size: tuple[int, int]) -> None:
+    """Check the height and width of an export.
+
+    Raises:
+        InputError: If they are not positive multiples of 16, or the width is too small.
+    """
+    for name, value in zip(("height", "width"), size, strict=True):
+        if value < SIZE_MULTIPLE or value % SIZE_MULTIPLE:
+            raise InputError(f"{name} must be a multiple of {SIZE_MULTIPLE}, got {value}")
+    if size[1] < narrowest(net):
+        raise InputError(
+            f"width must be at least {narrowest(net)} for {net.config.max_disparity} disparities, "
+            f"got {size[1]}"
+        )
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return ", ".join(map(str, values))

@@ -1,0 +1,60 @@
+"""ONNX, checked with ONNX Runtime."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.export.base import INPUTS, OUTPUT, Format, Job, Run
+from mobilestereonet.export.quantise import float_nodes, quantise
+from mobilestereonet.runtimes.onnxruntime import to_onnx
+
+
+class ONNX(Format):
+    """One file of any height and width, with its metadata as ``metadata_props``."""
+
+    name = "onnx"
+    ending = ".onnx"
+    extra = "onnx"
+    packages = ("onnx", "onnxscript", "onnxruntime")
+    precisions = ("fp32", "int8")
+    dynamic = True
+    note = "any ONNX runtime"
+
+    def write(self, job: Job, path: Path) -> None:
+        """Convert, quantise where asked to, add the metadata."""
+        import onnx
+
+        model = to_onnx(job.net, rgb=True)
+        if job.precision == "int8":
+            nodes = list(model.graph.node)
+            keep = float_nodes([(node.name, node.op_type) for node in nodes], "Resize", "Conv")
+            model = quantise(model, job.calibration, keep)
+        onnx.helper.set_model_props(model, dict(job.metadata))
+        onnx.checker.check_model(model)
+        onnx.save_model(model, path)
+
+    def open(self, path: Path) -> Run:
+        """Load into ONNX Runtime, on the CPU."""
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        session = onnxruntime.InferenceSession(path, options, ["CPUExecutionProvider"])
+
+        def run(left: Tensor, right: Tensor) -> Tensor:
+            views = dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True))
+            (disparity,) = session.run([OUTPUT], views)
+            return torch.from_numpy(disparity)
+
+        return run
+
+    def read_metadata(self, path: Path) -> dict[str, str]:
+        """The file's ``metadata_props``."""
+        import onnx
+
+        model: Any = onnx.load_model(path, load_external_data=False)
+        return {item.key: item.value for item in model.metadata_props}

@@ -1,0 +1,47 @@
+"""int8 by NNCF's post-training quantisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mobilestereonet.export.base import INPUTS, Pair
+
+
+def float_nodes(nodes: Sequence[tuple[str, str]], upsampling: str, convolution: str) -> list[str]:
+    """Nodes that stay in float: from the last convolution, whose scores the soft-argmax reads.
+
+    Args:
+        nodes: Name and type of each node, in the order in which they run.
+        upsampling: Type of the node that upsamples the scores.
+        convolution: Type of a convolution.
+    """
+    types = [kind for _, kind in nodes]
+    last_upsampling = len(types) - 1 - types[::-1].index(upsampling)
+    last_convolution = max(i for i in range(last_upsampling) if types[i] == convolution)
+    return [name for name, _ in nodes[last_convolution:]]
+
+
+def quantise(model: Any, pairs: Sequence[Pair], keep: Sequence[str]) -> Any:
+    """Quantise weights and activations to int8.
+
+    Args:
+        model: What NNCF takes: an ONNX or an OpenVINO model.
+        pairs: Calibration pairs.
+        keep: Names of the nodes that stay in float, see `float_nodes`.
+
+    Returns:
+        The quantised model.
+    """
+    import nncf
+
+    def feed(pair: Pair) -> Mapping[str, Any]:
+        return {name: view.numpy() for name, view in zip(INPUTS, pair, strict=True)}
+
+    return nncf.quantize(
+        model,
+        nncf.Dataset(list(pairs), feed),
+        subset_size=len(pairs),
+        preset=nncf.QuantizationPreset.MIXED,
+        ignored_scope=nncf.IgnoredScope(names=list(keep)),
+    )

@@ -1,0 +1,189 @@
+"""Is this pair fit for stereo matching? What is wrong, and what to do, in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mobilestereonet.plots import Picture
+
+Level: TypeAlias = Literal["good", "warning", "problem", "unknown"]
+Points: TypeAlias = NDArray[np.float32]
+
+_PIXELS = 1_000_000
+"""Features are looked for in pictures made smaller to this size."""
+
+_FEWEST = 30
+"""Matches below which nothing is said."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check says.
+
+    Attributes:
+        check: What was looked at, such as ``rectified``.
+        level: ``good``, ``warning`` (worse results), ``problem`` (no sensible result) or
+            ``unknown`` (it could not be told).
+        text: What was found, with the figure.
+        advice: What to do; empty where nothing is to be done.
+    """
+
+    check: str
+    level: Level
+    text: str
+    advice: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.check}: {self.text}" + (f"; {self.advice}" if self.advice else "")
+
+
+def quick_checks(left: Picture, right: Picture) -> list[Finding]:
+    """The checks that cost milliseconds: what `predict` warns of.
+
+    Args:
+        left: Left view, (H, W, 3) uint8 RGB.
+        right: Right view, the same size.
+
+    Returns:
+        Findings on content and exposure.
+    """
+    return [_content(left, right), _exposure(left, right)]
+
+
+def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[Finding]:
+    """All checks: the quick ones, and those that match image features (a second or less).
+
+    Args:
+        left: Left view, (H, W, 3) uint8 RGB.
+        right: Right view, the same size.
+        max_disparity: Disparities that the network searches, in px.
+
+    Returns:
+        Findings on content, exposure, rectification, the order of the views and the range.
+    """
+    findings = quick_checks(left, right)
+    if findings[0].level == "problem":
+        return findings
+    ours, theirs = match_features(left, right)
+    if len(ours) < _FEWEST:
+        text = f"only {len(ours)} image features match, too few to tell"
+        advice = "make sure that both views show one scene, sharp and with texture"
+        return [*findings, Finding("geometry", "unknown", text, advice)]
+    disparity, vertical = (ours - theirs).T
+    reach = float(np.percentile(np.abs(ours - theirs), 95))
+    if reach < 0.5:
+        text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
+        advice = "take two pictures from places side by side, not one twice"
+        return [*findings, Finding("views", "problem", text, advice)]
+    order = _order(disparity)
+    findings += [_rectified(vertical, left.shape[0]), order]
+    return findings if order.level == "problem" else [*findings, _range(disparity, max_disparity)]
+
+
+def match_features(left: Picture, right: Picture) -> tuple[Points, Points]:
+    """Places of one thing in both views: SIFT features, filtered by the epipolar geometry.
+
+    Args:
+        left: Left view, (H, W, 3) uint8 RGB.
+        right: Right view, the same size.
+
+    Returns:
+        Places in the left and in the right view, (N, 2) each, x and y in px.
+    """
+    scale = min(1.0, (_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
+    sift = cv2.SIFT.create(nfeatures=3000)
+    features: list[tuple[Any, Any]] = []
+    for view in (left, right):
+        grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        features.append(sift.detectAndCompute(grey, None))
+    (ours, our_features), (theirs, their_features) = features
+    none = np.zeros((0, 2), np.float32)
+    if min(len(ours), len(theirs)) < 2:
+        return none, none
+    matches = cv2.BFMatcher().knnMatch(our_features, their_features, k=2)
+    # A match counts if the second best is clearly worse (Lowe's test).
+    best = [first for first, second in matches if first.distance < 0.75 * second.distance]
+    if len(best) < _FEWEST:
+        return none, none
+    left_points = np.array([ours[match.queryIdx].pt for match in best], np.float32)
+    right_points = np.array([theirs[match.trainIdx].pt for match in best], np.float32)
+    _, inliers = cv2.findFundamentalMat(left_points, right_points, cv2.USAC_MAGSAC, 1.0, 0.999)
+    if inliers is None:
+        return none, none
+    kept = inliers.ravel().astype(bool)
+    return left_points[kept] / scale, right_points[kept] / scale
+
+
+def _content(left: Picture, right: Picture) -> Finding:
+    difference = float(np.abs(left.astype(np.int16) - right).mean())
+    if difference < 0.1:
+        text = "both views are the same picture"
+        return Finding("content", "problem", text, "give the right camera's picture as second one")
+    for name, view in (("left", left), ("right", right)):
+        if float(view.std()) < 2:
+            text = f"the {name} view is blank (all pixels near {view.mean():.0f} of 255)"
+            return Finding("content", "problem", text, "check the camera and the file")
+    return Finding("content", "good", "two different pictures")
+
+
+def _exposure(left: Picture, right: Picture) -> Finding:
+    levels = [max(float(view.mean()), 1.0) for view in (left, right)]
+    ratio = max(levels) / min(levels)
+    text = f"mean brightness {levels[0]:.0f} and {levels[1]:.0f} of 255"
+    if ratio > 1.5:
+        advice = "lock exposure, gain and white balance of both cameras to the same values"
+        return Finding("exposure", "warning", f"{text}, a factor of {ratio:.1f}", advice)
+    return Finding("exposure", "good", text)
+
+
+def _rectified(vertical: Points, height: int) -> Finding:
+    offset = float(np.median(vertical))
+    size = float(np.median(np.abs(vertical)))
+    text = f"matching features are {size:.1f} px apart vertically (median)"
+    # What counts is how much of a feature is left in its row: larger pictures have larger features.
+    tolerance = max(0.75, height / 2000)
+    if size <= tolerance:
+        return Finding("rectified", "good", text)
+    if float(np.median(np.abs(vertical - offset))) <= 0.5:
+        side, move = ("lower", "up") if offset < 0 else ("higher", "down")
+        text = f"the right view lies {abs(offset):.1f} px {side} than the left one everywhere"
+        advice = f"move the right view {move} by that much, or calibrate and use `msnet rectify`"
+    else:
+        advice = "calibrate the cameras and use `msnet rectify`: rows must match rows"
+    return Finding("rectified", "warning" if size <= 2 * tolerance else "problem", text, advice)
+
+
+def _order(disparity: Points) -> Finding:
+    behind = float(np.mean(disparity < -1))
+    if behind > 0.8:
+        text = f"{behind:.0%} of the features move to the right from the left view to the right one"
+        return Finding("order", "problem", text, "the views are swapped: exchange them")
+    if behind > 0.05:
+        shift = -float(np.percentile(disparity, 1))
+        text = f"{behind:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
+        advice = (
+            "the cameras converge, or the views are cropped differently: rectify them, or move the "
+            f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
+        )
+        return Finding("order", "problem", text, advice)
+    return Finding("order", "good", "left is left and right is right")
+
+
+def _range(disparity: Points, max_disparity: int) -> Finding:
+    low, high = (float(value) for value in np.percentile(disparity, (1, 99)))
+    text = f"the features' disparities go from {low:.0f} to {high:.0f} px"
+    if high > max_disparity - 1:
+        text += f", beyond the network's {max_disparity - 1}"
+        factor = 0.9 * (max_disparity - 1) / high
+        advice = f"make both views smaller, to {factor:.2f} of their size: disparities shrink too"
+        return Finding("range", "problem", text, advice)
+    if high < 5:
+        advice = "depth will be coarse: use larger pictures, or cameras farther apart"
+        return Finding("range", "warning", text, advice)
+    return Finding("range", "good", text)

@@ -1,0 +1,145 @@
+"""Layers that do several steps in one pass over memory."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.nets.blocks import V2Block
+from mobilestereonet.nets.features import ResidualBlock
+
+_ONEDNN: dict[str, tuple[str, list[float]]] = {
+    "none": ("none", []),
+    "relu": ("relu", []),
+    "relu6": ("hardtanh", [0.0, 6.0]),
+}
+"""oneDNN's names and limits of the activations that it can append to a convolution."""
+
+SLICE = 1 << 23
+"""Elements of a v2 block's hidden tensor that exist at a time."""
+
+
+def activation_name(layer: nn.Module) -> str:
+    """What `FusedConv` calls an activation: "relu" or "relu6"; "none" for other layers."""
+    if isinstance(layer, nn.ReLU):
+        return "relu"
+    return "relu6" if isinstance(layer, nn.ReLU6) else "none"
+
+
+class FusedConv(nn.Module):
+    """``activation(conv(x) + other)`` in 2D or 3D: by oneDNN where it can, else by PyTorch.
+
+    Next to 1x1 and depthwise convolutions, which wait for memory, an activation of its own costs
+    about a third of the convolution before it.
+    """
+
+    def __init__(self, conv: nn.Conv2d | nn.Conv3d, activation: str = "none") -> None:
+        super().__init__()
+        self.conv = conv
+        self.activation = activation
+
+    def forward(self, x: Tensor, other: Tensor | None = None, *, pad_rows: bool = True) -> Tensor:
+        """Convolve.
+
+        Args:
+            x: (B, C, H, W) or (B, C, D, H, W).
+            other: Tensor of the result's shape that is added to the convolution.
+            pad_rows: False leaves out the padding above and below.
+        """
+        conv = self.conv
+        padding = list(cast(tuple[int, ...], conv.padding))
+        if not pad_rows:
+            padding[-2] = 0
+        if not _runs_onednn(x):
+            convolve = F.conv2d if x.ndim == 4 else F.conv3d
+            options = (conv.stride, padding, conv.dilation, conv.groups)
+            y = convolve(x, conv.weight, conv.bias, *options)
+            return _activate(y if other is None else y + other, self.activation)
+        call = torch.ops.mkldnn._convolution_pointwise
+        size = (padding, conv.stride, conv.dilation, conv.groups)
+        name, limits = _ONEDNN[self.activation]
+        if other is None:
+            return cast(Tensor, call(x, conv.weight, conv.bias, *size, name, limits, ""))
+        # oneDNN can follow a sum by a ReLU, but not by a ReLU6.
+        unary = "relu" if name == "relu" else None
+        y = call.binary(x, other, conv.weight, conv.bias, *size, "add", 1.0, unary, [], None)
+        return cast(Tensor, y) if unary else _activate(y, self.activation)
+
+
+def _activate(x: Tensor, activation: str) -> Tensor:
+    if activation == "relu":
+        return F.relu(x, inplace=True)
+    return F.relu6(x, inplace=True) if activation == "relu6" else x
+
+
+def _runs_onednn(x: Tensor) -> bool:
+    if x.device.type != "cpu" or not torch.backends.mkldnn.is_available():
+        return False
+    bfloat16 = x.dtype == torch.bfloat16 and torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    return x.dtype == torch.float32 or bool(bfloat16)
+
+
+class FusedResidualBlock(nn.Module):
+    """`ResidualBlock` of fused convolutions: its last one adds the skip."""
+
+    def __init__(self, block: ResidualBlock) -> None:
+        super().__init__()
+        *layers, self.last = block.conv2
+        self.layers = nn.Sequential(*block.conv1, *layers)
+        self.downsample = block.downsample
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
+        return cast(Tensor, self.last(self.layers(x), self.downsample(x)))
+
+
+class SlicedV2Block(nn.Module):
+    """`V2Block` of fused convolutions, some rows at a time where its hidden tensor is large.
+
+    At 3 times the block's channels, that tensor would set the peak of the memory in use.
+    """
+
+    def __init__(self, block: V2Block) -> None:
+        super().__init__()
+        expand, first, depthwise, second, project = cast(list[Any], block.conv)
+        self.expand = FusedConv(expand, activation_name(first))
+        self.depthwise = FusedConv(depthwise, activation_name(second))
+        self.project = FusedConv(project)
+        self.skip = block.skip
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, ...) -> (B, outputs, ...), spatial sizes divided by the stride."""
+        stride = self.depthwise.conv.stride[-1]
+        height = (x.shape[-2] - 1) // stride + 1
+        hidden_row = x[:, 0, ..., 0, :].numel() * self.depthwise.conv.in_channels
+        rows = max(SLICE // hidden_row // stride, 1)
+        if rows >= height:
+            return self._project(self.depthwise(self.expand(x)), x)
+        result: Tensor | None = None
+        for top in range(0, height, rows):
+            bottom = min(top + rows, height)
+            y = self._project(self._hidden(x, top, bottom), x[..., top:bottom, :])
+            if result is None:
+                result = _empty_like(y, height)
+            result[..., top:bottom, :] = y
+        return cast(Tensor, result)
+
+    def _hidden(self, x: Tensor, top: int, bottom: int) -> Tensor:
+        """Rows ``top`` to ``bottom`` of the depthwise convolution's result."""
+        stride, reach = self.depthwise.conv.stride[-1], self.depthwise.conv.dilation[-1]
+        first, last = stride * top - reach, stride * (bottom - 1) + reach + 1
+        above, below = max(-first, 0), max(last - x.shape[-2], 0)
+        y = self.expand(x[..., first + above : last - below, :])
+        return cast(Tensor, self.depthwise(F.pad(y, (0, 0, above, below)), pad_rows=False))
+
+    def _project(self, hidden: Tensor, x: Tensor) -> Tensor:
+        return cast(Tensor, self.project(hidden, x if self.skip else None))
+
+
+def _empty_like(part: Tensor, height: int) -> Tensor:
+    """Uninitialised, ``height`` rows instead of the part's, channels last."""
+    batch, channels, *depth, _, width = part.shape
+    return part.new_empty(batch, *depth, height, width, channels).movedim(-1, 1)

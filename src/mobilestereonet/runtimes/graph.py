@@ -1,0 +1,231 @@
+"""A network as a graph of plain operators on tensors of at most four dimensions.
+
+Every engine and exporter takes it. Disparities lie along the batch axis, so it takes one pair.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets.config import REDUCED_CHANNELS
+from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.runtimes.optimise import fold_norms
+from mobilestereonet.runtimes.slices import slice_layers
+
+
+def narrowest(net: StereoNet) -> int:
+    """Smallest width in px that `Graph` takes: the disparity range and a little more."""
+    return net.config.max_disparity + 16
+
+
+def example_pair(net: StereoNet) -> tuple[Tensor, Tensor]:
+    """A small pair with which to trace `Graph`; what it is traced with does not matter."""
+    left, right = torch.zeros(2, 1, 3, 32, narrowest(net))
+    return left, right
+
+
+class Graph(nn.Module):
+    """`StereoNet` in eval mode, with the same result up to rounding.
+
+    No operator has a height or width written into it: traced at one size, it serves any.
+    """
+
+    def __init__(
+        self, net: StereoNet, *, rgb: bool = False, head: bool = True, sliced: bool = True
+    ) -> None:
+        """Rewrite a copy of a network.
+
+        Args:
+            net: The network, with any weights.
+            rgb: Take RGB in 0..1 and normalise it inside.
+            head: Give the disparity; otherwise the scores at a quarter of the resolution, for
+                `regress_disparity`.
+            sliced: Write 3D layers as 2D layers on slices.
+        """
+        super().__init__()
+        net = copy.deepcopy(net).eval().requires_grad_(False)
+        fold_norms(net)
+        self.rgb, self.head, self.sliced = rgb, head, sliced
+        self.dims = net.config.dims
+        self.features, self.reduction = net.features, net.reduction
+        self.volume = (
+            BlockwiseLearnedVolume(net.volume)
+            if isinstance(net.volume, LearnedVolume)
+            else BlockwiseCorrelation(net.volume, net.config.volume_input)
+        )
+        self.aggregation = nn.Sequential(net.pre_hourglass, *net.hourglasses, net.heads[-1])
+        if self.dims == 3 and sliced:
+            slice_layers(self.aggregation)
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Disparity of the left view.
+
+        Args:
+            left: Left view (1, 3, H, W), normalised, or RGB in 0..1 with ``rgb``; H and W are
+                multiples of 16, W at least `narrowest`.
+            right: Right view, likewise.
+
+        Returns:
+            Disparity (1, H, W) in pixels, or scores (1, D, H / 4, W / 4) without ``head``.
+        """
+        views = torch.cat((left, right))
+        if self.rgb:
+            views = normalise(views)
+        left, right = self.reduction(self.features(views)).split(1)
+        blocks = self.volume(left, right)
+        if self.dims == 3 and self.sliced:
+            scores = self.aggregation(torch.cat(blocks)).unsqueeze(0)
+        else:
+            volume = torch.cat([block.transpose(0, 1) for block in blocks], dim=1)  # (C, D, H, W)
+            planar = self.dims == 2
+            volume = torch.cat(volume.split(1), dim=1) if planar else volume.unsqueeze(0)
+            scores = self.aggregation(volume)
+        return soft_argmax_by_powers(scores) if self.head else scores
+
+
+_BLOCK = 4
+"""Disparities that go through the cost volume together; divides the number of every network."""
+
+
+class BlockwiseLearnedVolume(nn.Module):
+    """`LearnedVolume` without batch norms, in 2D convolutions, a few planes at a time.
+
+    Kernels are as deep as their strides, so that a 3D convolution is a 2D convolution in groups,
+    one per step along the depth. A block has the columns from its first plane's first on, so that
+    only a small corner, where its planes begin one after the other, needs a mask.
+    """
+
+    def __init__(self, volume: LearnedVolume) -> None:
+        super().__init__()
+        self.planes = volume.planes
+        first, second, third = (cast(nn.Conv3d, conv) for conv in volume.conv)
+        depth = 2 * REDUCED_CHANNELS // first.kernel_size[0]
+        # The groups of the first convolution mix both views: a block-diagonal kernel instead.
+        kernel = torch.block_diag(*[first.weight.flatten(1)] * depth)
+        kernel = kernel.unflatten(1, (2 * REDUCED_CHANNELS, 3, 3))
+        if volume.interlaced:
+            ours, theirs = kernel[:, 0::2], kernel[:, 1::2]
+        else:
+            ours, theirs = kernel.split(REDUCED_CHANNELS, dim=1)
+        bias = cast(Tensor, first.bias).repeat(depth)
+        self.left = _conv2d(ours, bias, padding=(1, 1))
+        self.right = _conv2d(theirs, padding=(1, 1))
+        # Beyond a crop lie zeros: its outer columns see kernels without their outer columns.
+        self.left_first = _conv2d(ours[..., 1:], bias, padding=(1, 0))
+        self.right_last = _conv2d(theirs[..., :-1], padding=(1, 0))
+        self.second = _steps(second, depth // second.kernel_size[0])
+        self.third = _steps(third, 1)
+        self.squeeze = volume.squeeze
+        self.starts: Tensor
+        self.corner: Tensor
+        self.register_buffer("starts", torch.eye(_BLOCK)[:, None, None])
+        self.register_buffer("corner", torch.triu(torch.ones(_BLOCK, _BLOCK))[:, None, None])
+
+    def forward(self, left: Tensor, right: Tensor) -> list[Tensor]:
+        """(1, 32, H, W) twice -> blocks (4, 1, H, W) of D planes."""
+        count = self.planes
+        ours, theirs = self.left(left), self.right(right)
+        first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
+        last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
+        theirs_corner = F.pad(theirs[..., :_BLOCK], (_BLOCK - 1, 0))
+        theirs_corner = torch.cat(
+            [theirs_corner[..., _BLOCK - 1 - i : 2 * _BLOCK - 1 - i] for i in range(_BLOCK)]
+        )
+        blocks = []
+        for a in range(0, count, _BLOCK):
+            b = a + _BLOCK
+            starts = torch.where(self.starts > 0, first[..., a:b], ours[..., a:b])
+            inner = torch.cat([theirs[..., b - i : -1 - i] for i in range(a, b)])
+            end = torch.cat([last[..., count - 1 - i : count - i] for i in range(a, b)])
+            x = torch.cat(
+                (
+                    (starts + theirs_corner) * self.corner,
+                    ours[..., b:-1] + inner,
+                    ours[..., -1:] + end,
+                ),
+                dim=-1,
+            )
+            x = self._masked(F.relu(self.second(F.relu(x))))
+            x = self._masked(self.squeeze(self._masked(F.relu(self.third(x)))))
+            blocks.append(F.pad(x, (a, 0)))
+        return blocks
+
+    def _masked(self, x: Tensor) -> Tensor:
+        return torch.cat((x[..., :_BLOCK] * self.corner, x[..., _BLOCK:]), dim=-1)
+
+
+def _conv2d(
+    weight: Tensor, bias: Tensor | None = None, *, padding: tuple[int, int], groups: int = 1
+) -> nn.Conv2d:
+    conv = nn.Conv2d(
+        weight.shape[1] * groups,
+        len(weight),
+        cast(tuple[int, int], tuple(weight.shape[2:])),
+        padding=padding,
+        groups=groups,
+        bias=bias is not None,
+        dtype=weight.dtype,
+    )
+    conv.load_state_dict({"weight": weight} | ({} if bias is None else {"bias": bias}))
+    return conv.requires_grad_(False)
+
+
+def _steps(conv: nn.Conv3d, steps: int) -> nn.Conv2d:
+    """A 3D convolution whose stride is its depth, on channels ordered by depth."""
+    weight = conv.weight.transpose(1, 2).flatten(1, 2).repeat(steps, 1, 1, 1)
+    return _conv2d(weight, cast(Tensor, conv.bias).repeat(steps), padding=(1, 1), groups=steps)
+
+
+class BlockwiseCorrelation(nn.Module):
+    """`Correlation` in tensors of four dimensions."""
+
+    def __init__(self, volume: Correlation, channels: int) -> None:
+        super().__init__()
+        self.planes = volume.planes
+        weight = torch.full(
+            (volume.groups, channels // volume.groups, 1, 1), volume.groups / channels
+        )
+        self.mean = _conv2d(weight, padding=(0, 0), groups=volume.groups)
+
+    def forward(self, left: Tensor, right: Tensor) -> list[Tensor]:
+        """(1, C, H, W) twice -> D planes (1, groups, H, W)."""
+        planes = [self.mean(left * right)]
+        for i in range(1, self.planes):
+            planes.append(F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0)))
+        return planes
+
+
+def soft_argmax_by_powers(scores: Tensor) -> Tensor:
+    """`regress_disparity` with one exponential per score, in operators that engines fuse.
+
+    With a and b the exponentials of an eighth of two neighbouring scores, the four fine terms
+    between them are a^7 b, a^5 b^3, a^3 b^5 and a b^7.
+
+    Args:
+        scores: (B, D, H / 4, W / 4).
+
+    Returns:
+        Disparity (B, H, W) in pixels.
+    """
+    planes = scores.shape[1]
+    fine = F.interpolate(scores, scale_factor=4, mode="bilinear", align_corners=False)
+    # Scores far below the best one count for nothing, but must not turn all powers to zero.
+    a = torch.exp((fine - fine.amax(dim=1, keepdim=True)).clamp(min=-400) / 8)
+    squares = a * a
+    low, high = squares[:, :-1], squares[:, 1:]
+    both, product = low + high, low * high
+    base = a[:, :-1] * a[:, 1:]
+    mass = base * both * (both * both - 2 * product)
+    first = base * (high - low) * (1.5 * both * both - product)
+    centres = 4 * torch.arange(planes - 1, dtype=scores.dtype, device=scores.device) + 3.5
+    moment = (centres[:, None, None] * mass + first).sum(dim=1)
+    ends = [(2 * (square[:, None] ** 4)).squeeze(1) for square in (squares[:, 0], squares[:, -1])]
+    total = mass.sum(dim=1) + ends[0] + ends[1]
+    return (moment + 0.5 * ends[0] + (4 * planes - 1.5) * ends[1]) / total

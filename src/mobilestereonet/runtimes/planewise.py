@@ -1,0 +1,133 @@
+"""Cost volumes one disparity plane at a time: what stays in a processor's cache."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.nets.config import REDUCED_CHANNELS
+from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+
+
+class PlanewiseLearnedVolume(nn.Module):
+    """`LearnedVolume` without batch norms, in 2D convolutions, each plane on its own columns.
+
+    Kernels are as deep as their strides, so that a 3D convolution is a 2D convolution in groups,
+    one per step along the depth. As in the authors' loop a plane is cropped to the columns that
+    have a partner: nothing is computed that would be masked.
+    """
+
+    def __init__(self, volume: LearnedVolume) -> None:
+        super().__init__()
+        self.planes = volume.planes
+        first, second, third = (cast(nn.Conv3d, conv) for conv in volume.conv)
+        depth = 2 * REDUCED_CHANNELS // first.kernel_size[0]
+        # The groups of the first convolution mix both views: a block-diagonal kernel instead.
+        kernel = torch.block_diag(*[first.weight.flatten(1)] * depth)
+        kernel = kernel.unflatten(1, (2 * REDUCED_CHANNELS, 3, 3))
+        if volume.interlaced:
+            ours, theirs = kernel[:, 0::2], kernel[:, 1::2]
+        else:
+            ours, theirs = kernel.split(REDUCED_CHANNELS, dim=1)
+        assert first.bias is not None
+        bias = first.bias.repeat(depth)
+        self.left = _conv2d(ours, bias, padding=(1, 1))
+        self.right = _conv2d(theirs, padding=(1, 1))
+        # Beyond a crop lie zeros: its outer columns see kernels without their outer columns.
+        self.left_first = _conv2d(ours[..., 1:], bias, padding=(1, 0))
+        self.right_last = _conv2d(theirs[..., :-1], padding=(1, 0))
+        self.second = _steps(second, depth // second.kernel_size[0])
+        self.third = _steps(third, 1)
+        self.squeeze = volume.squeeze
+
+    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """(B, 32, H, W) twice -> D planes (B, 1, H, W)."""
+        width = left.shape[-1]
+        count = min(self.planes, width)
+        ours, theirs = self.left(left), self.right(right)
+        first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
+        last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
+        for i in range(count):
+            first_i, last_i = first[..., i : i + 1], last[..., count - 1 - i : count - i]
+            if i == width - 1:
+                x = first_i + last_i
+            else:
+                inner = ours[..., i + 1 : -1] + theirs[..., 1 : width - 1 - i]
+                columns = (first_i + theirs[..., :1], inner, ours[..., -1:] + last_i)
+                x = torch.cat(columns, dim=-1)
+            x = self.squeeze(self.third(self.second(F.relu(x, inplace=True))))
+            yield F.pad(x, (i, 0))
+        for _ in range(count, self.planes):
+            yield left.new_zeros(len(left), 1, *left.shape[-2:])
+
+
+def _conv2d(
+    weight: Tensor, bias: Tensor | None = None, *, padding: tuple[int, int], groups: int = 1
+) -> nn.Conv2d:
+    outputs, inputs, *size = weight.shape
+    conv = nn.Conv2d(
+        inputs * groups,
+        outputs,
+        cast(tuple[int, int], tuple(size)),
+        padding=padding,
+        groups=groups,
+        bias=bias is not None,
+        device=weight.device,
+        dtype=weight.dtype,
+    )
+    conv.load_state_dict({"weight": weight} | ({} if bias is None else {"bias": bias}))
+    return conv
+
+
+def _steps(conv: nn.Conv3d, steps: int) -> nn.Sequential:
+    """A 3D convolution whose stride is its depth, and ReLU, on channels ordered by depth."""
+    weight = conv.weight.transpose(1, 2).flatten(1, 2).repeat(steps, 1, 1, 1)
+    assert conv.bias is not None
+    bias = conv.bias.repeat(steps)
+    return nn.Sequential(_conv2d(weight, bias, padding=(1, 1), groups=steps), nn.ReLU(inplace=True))
+
+
+class PlanewiseCorrelation(nn.Module):
+    """`Correlation`, one plane after the other, channels last."""
+
+    def __init__(self, volume: Correlation) -> None:
+        super().__init__()
+        self.planes = volume.planes
+        self.groups = volume.groups
+
+    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """(B, C, H, W) twice -> D planes (B, groups, H, W)."""
+        batch, _, height, width = left.shape
+        left, right = self._by_member(left), self._by_member(right)
+        for i in range(min(self.planes, width)):
+            plane = (left[:, :, i:] * right[:, :, : width - i]).mean(dim=3)
+            yield F.pad(plane, (0, 0, i, 0)).permute(0, 3, 1, 2)
+        for _ in range(width, self.planes):
+            yield left.new_zeros(batch, self.groups, height, width)
+
+    def _by_member(self, view: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, H, W, members, groups): sums over members run along all groups."""
+        view = view.permute(0, 2, 3, 1).unflatten(3, (self.groups, -1))
+        return view.transpose(3, 4).contiguous()
+
+
+class Collected(nn.Module):
+    """All planes of a planewise cost volume, channels last."""
+
+    def __init__(self, volume: PlanewiseLearnedVolume | PlanewiseCorrelation) -> None:
+        super().__init__()
+        self.volume = volume
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W)."""
+        result: Tensor | None = None
+        for index, plane in enumerate(self.volume(left, right)):
+            if result is None:
+                batch, groups, *size = plane.shape
+                result = plane.new_empty(batch, self.volume.planes, *size, groups).movedim(-1, 1)
+            result[:, :, index] = plane
+        return cast(Tensor, result)

@@ -1,0 +1,100 @@
+"""The commands doctor and rectify, as a user runs them."""
+
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilestereonet.cli.main import main
+from mobilestereonet.data import read_calibration
+
+
+@pytest.fixture
+def msnet(monkeypatch, capsys):
+    """Runs the command line; gives exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (200, 340, 3), dtype=np.uint8)
+    wide = cv2.GaussianBlur(noise, (0, 0), 2)
+    wide = cv2.normalize(wide, None, 0, 255, cv2.NORM_MINMAX)
+    cv2.imwrite(str(tmp_path / "left.png"), wide[:, :320])
+    cv2.imwrite(str(tmp_path / "right.png"), wide[:, 20:])
+    cv2.imwrite(str(tmp_path / "small.png"), wide[:, 40:])
+    return tmp_path
+
+
+def test_doctor(msnet, folder):
+    left, right = folder / "left.png", folder / "right.png"
+    code, out, err = msnet("doctor", left, right)
+    assert (code, err) == (0, "")
+    assert "disparities go from 20 to 20 px" in out
+    assert out.count("good") >= 5
+    code, out, _ = msnet("doctor", right, left, "--json")
+    assert code == 1
+    levels = {finding["check"]: finding["level"] for finding in json.loads(out)}
+    assert levels["order"] == "problem"
+    assert levels["rectified"] == "good"
+    code, out, err = msnet("doctor", left, folder / "small.png")
+    assert (code, out) == (2, "")
+    assert "left.png has 320x200" in err
+
+
+def write_rig(path, **values):
+    camera = np.array([[300.0, 0, 160], [0, 300, 100], [0, 0, 1]])
+    rotation = cv2.Rodrigues(np.array([0.0, 0.02, 0.03]))[0]
+    whole = {"M1": camera, "D1": np.zeros(5), "M2": camera, "D2": np.zeros(5), "R": rotation}
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in (whole | {"T": np.array([-60.0, 0, 0])} | values).items():
+        storage.write(name, value)
+    storage.release()
+
+
+def test_rectify(msnet, folder):
+    write_rig(folder / "stereo.yml")
+    views = folder / "left.png", folder / "right.png"
+    command = ("rectify", *views, "--calib", folder / "stereo.yml", "-o", folder / "out")
+    code, out, err = msnet(*command, "--unit", "mm")
+    assert (code, err) == (0, "")
+    names = ["left.png", "right.png", "calib.txt"]
+    assert out.splitlines() == [str(folder / "out" / name) for name in names]
+    calibration = read_calibration(folder / "out" / "calib.txt")
+    assert calibration.baseline == pytest.approx(0.06)
+    assert calibration.doffs == pytest.approx(0)
+    assert 250 < calibration.focal < 400
+    assert cv2.imread(str(folder / "out" / "left.png")).shape == (200, 320, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "60 m is implausible"),
+        (("--unit", "inch"), "a unit is one of m, mm, got 'inch'"),
+        (("--unit", "mm", "--calib", "left.png"), "left.png: not a camera file"),
+        (("--unit", "mm", "--calib", "none.yml"), "none.yml: no such file"),
+        (("--unit", "mm", "--calib", "swapped.yml"), "are the cameras swapped"),
+    ],
+)
+def test_rectify_refuses_and_writes_nothing(msnet, folder, options, message):
+    write_rig(folder / "stereo.yml")
+    write_rig(folder / "swapped.yml", T=np.array([60.0, 0, 0]))
+    before = sorted(folder.rglob("*"))
+    views = folder / "left.png", folder / "right.png"
+    named = [folder / option if "." in option else option for option in options]
+    command = ("rectify", *views, "--calib", folder / "stereo.yml", "-o", folder / "out")
+    code, out, err = msnet(*command, *named)
+    assert (code, out) == (2, "")
+    assert err.startswith("msnet: ") and err.count("\n") == 1
+    assert message in err
+    assert sorted(folder.rglob("*")) == before

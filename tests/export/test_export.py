@@ -1,0 +1,238 @@
+"""Every format: the file in its own runtime gives what torch gives, or nothing is written."""
+
+import json
+import sys
+
+import pytest
+import torch
+from torch import nn
+
+from mobilestereonet import InputError, create_model, save_weights
+from mobilestereonet.cli.main import main
+from mobilestereonet.export import FORMATS, calibration_pairs, export_model, real_pair
+from mobilestereonet.export.base import Format
+from mobilestereonet.export.metadata import describe
+from mobilestereonet.nets.normalise import normalise
+
+SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
+SIZE = (32, 64)
+
+
+@pytest.fixture(scope="module")
+def net():
+    """A small network whose batch norms do something."""
+    torch.manual_seed(0)
+    net = create_model("msnet2d", **SMALL).eval()
+    net.zero_residuals()  # fresh weights would amplify rounding
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+                module.bias.normal_(0, 0.1)
+                module.running_mean.normal_(0, 0.1)
+                module.running_var.uniform_(0.5, 1.5)
+    return net
+
+
+def expected(net, left, right):
+    with torch.no_grad():
+        return net(normalise(left), normalise(right))
+
+
+def needs(name, *, precision="fp32"):
+    format_ = FORMATS[name]
+    missing = [package for package, found in format_.versions(precision).items() if not found]
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not installed")
+    return format_
+
+
+@pytest.mark.parametrize("name", ["onnx", "openvino", "executorch", "litert"])
+def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_path):
+    format_ = needs(name)
+    output = tmp_path / "net" / f"small{format_.ending}"
+    done = export_model(name, net, output, model="small", size=SIZE)
+    assert done.path == output
+    files = list(output.parent.iterdir())
+    assert done.size == sum(file.stat().st_size for file in files)
+    assert done.mean <= 1e-4
+    assert done.seconds > 0
+    assert done.ratio > 0
+
+    run = format_.open(output)
+    sizes = [SIZE, (48, 112)] if format_.dynamic else [SIZE]
+    for size in sizes:
+        left, right = torch.rand(2, 1, 3, *size)
+        torch.testing.assert_close(
+            run(left, right), expected(net, left, right), rtol=0, atol=1e-3, check_stride=False
+        )
+
+    metadata = format_.read_metadata(output)
+    assert metadata["model"] == "small"
+    assert metadata["colour_order"] == "RGB"
+    assert metadata["mean"] == "0.485, 0.456, 0.406"
+    assert metadata["disparity_range"] == "0..31"
+    assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
+
+
+@pytest.mark.parametrize("name", ["onnx", "openvino"])
+def test_int8_stays_near(name, net, tmp_path):
+    needs(name, precision="int8")
+    folder = tmp_path / "pairs"
+    write_pairs(folder)
+    output = tmp_path / f"small{FORMATS[name].ending}"
+    done = export_model(
+        name, net, output, model="small", precision="int8", size=SIZE, calibration=folder
+    )
+    assert 0 < done.mean < 0.5
+    assert FORMATS[name].read_metadata(output)["precision"] == "int8"
+
+
+def test_core_ml_is_converted(net, tmp_path):
+    needs("coreml")
+    output = tmp_path / "small.mlpackage"
+    done = export_model("coreml", net, output, model="small", precision="fp32", size=SIZE)
+    assert done.mean is None
+    assert FORMATS["coreml"].read_metadata(output)["model"] == "small"
+
+
+class Wrong(Format):
+    """Its files always say 3 px."""
+
+    name, ending, extra, packages = "wrong", ".bin", "wrong", ()
+    precisions = ("fp32", "int8")
+    value = 3.0
+
+    def write(self, job, path):
+        path.write_text("new")
+        path.with_name("other").write_text("new")
+
+    def open(self, path):
+        return lambda left, right: torch.full((1, *left.shape[-2:]), self.value)
+
+    def read_metadata(self, path):
+        return {}
+
+
+@pytest.mark.parametrize("value", [3.0, float("nan")])
+def test_a_file_that_differs_is_not_written(value, net, tmp_path, monkeypatch):
+    wrong = Wrong()
+    wrong.value = value
+    monkeypatch.setitem(FORMATS, "wrong", wrong)
+    output = tmp_path / "net.bin"
+    output.write_text("old")
+    with pytest.raises(InputError, match="wrong: the file's disparity differs from torch's by"):
+        export_model("wrong", net, output, model="small", size=SIZE)
+    assert [path.name for path in tmp_path.iterdir()] == ["net.bin"]
+    assert output.read_text() == "old"
+
+
+def test_a_failed_conversion_leaves_nothing(net, tmp_path, monkeypatch):
+    class Failing(Wrong):
+        def write(self, job, path):
+            path.write_text("half")
+            raise RuntimeError("no such operator\nand much more")
+
+    monkeypatch.setitem(FORMATS, "wrong", Failing())
+    with pytest.raises(InputError, match=r"conversion failed: RuntimeError: no such operator$"):
+        export_model("wrong", net, tmp_path / "net.bin", model="small", size=SIZE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_package_is_named_with_its_extra(net, tmp_path, monkeypatch):
+    class Missing(Wrong):
+        packages = ("a-package-that-is-not-there",)
+
+    monkeypatch.setitem(FORMATS, "wrong", Missing())
+    with pytest.raises(InputError) as caught:
+        export_model("wrong", net, tmp_path / "net.bin", model="small", size=SIZE)
+    assert "needs a-package-that-is-not-there" in str(caught.value)
+    assert 'pip install "mobilestereonet[wrong]"' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"format_": "gif"}, "unknown format 'gif'"),
+        ({"output": "net.onnx"}, "net.onnx: a file for pt2 must end in .pt2"),
+        ({"size": (40, 64)}, "height must be a multiple of 16, got 40"),
+        ({"size": (32, 0)}, "width must be a multiple of 16, got 0"),
+        ({"size": (32, 32)}, "width must be at least 48 for 32 disparities, got 32"),
+        ({"precision": "int8"}, "pt2 has no precision 'int8', only fp32"),
+        ({"calibration": "pairs"}, "calibration pairs are for precision int8, not fp32"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message, net):
+    given = {"format_": "pt2", "output": "net.pt2", "model": "small", **arguments}
+    with pytest.raises(InputError, match=message):
+        export_model(net=net, **given)
+
+
+def write_pairs(folder):
+    import cv2
+    import numpy as np
+
+    for side in ("left", "right"):
+        (folder / side).mkdir(parents=True)
+        for index in range(2):
+            picture = np.random.default_rng(index).integers(0, 255, (40, 90, 3), dtype=np.uint8)
+            assert cv2.imwrite(str(folder / side / f"{index}.png"), picture)
+
+
+def test_pairs_have_the_size_that_is_asked_for(tmp_path):
+    write_pairs(tmp_path)
+    for size in (SIZE, (80, 96)):
+        pairs = [real_pair(size), *calibration_pairs(size, tmp_path)]
+        assert len(pairs) == 3
+        for pair in pairs:
+            for view in pair:
+                assert view.shape == (1, 3, *size)
+                assert 0 <= view.min() < view.max() <= 1
+    assert len(list(calibration_pairs(SIZE))) > 10
+    with pytest.raises(FileNotFoundError):
+        list(calibration_pairs(SIZE, tmp_path / "none"))
+
+
+def test_metadata_say_whose_the_weights_are():
+    config = create_model("msnet2d").config
+    arguments = {"precision": "fp32", "size": None}
+    assert describe(config, "msnet2d", embedded=True, **arguments)["licence"] == "Apache-2.0"
+    assert describe(config, "msnet2d", embedded=False, **arguments)["licence"] != "Apache-2.0"
+
+
+@pytest.fixture
+def msnet(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+def test_command(msnet, net, tmp_path):
+    weights = tmp_path / "small.safetensors"
+    save_weights(net, weights, dtype=torch.float32)
+    output = tmp_path / "a" / "small.pt2"
+    code, out, _ = msnet(
+        *("export", "pt2", "--weights", weights, "-o", output, "--height", 32, "--width", 64)
+    )
+    assert code == 0
+    assert f"{output}: {output.stat().st_size / 1e6:.2f} MB" in out
+    assert f"torch {torch.__version__}" in out
+    assert "32 x 64 (height x width): " in out
+    files = {"metadata.json": ""}
+    program = torch.export.load(output, extra_files=files)
+    assert json.loads(files["metadata.json"])["disparity_range"] == "0..31"
+    left, right = torch.rand(2, 1, 3, *SIZE)
+    torch.testing.assert_close(
+        program.module()(left, right), expected(net, left, right), rtol=0, atol=1e-3
+    )
+
+
+def test_command_lists_the_formats(msnet):
+    code, out, _ = msnet("export", "--list")
+    assert code == 0
+    assert all(name in out for name in FORMATS)
+    assert msnet("export")[0] == 2
+    assert msnet("export", "gif")[0] == 2

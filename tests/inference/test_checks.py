@@ -1,0 +1,74 @@
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilestereonet.inference.checks import check_pair, quick_checks
+
+
+def scene(shift=0.0, down=0.0, angle=0.0, gain=1.0):
+    """A textured plane seen from a place to the right: its points move left by 20 to 40 px."""
+    noise = np.random.default_rng(0).integers(0, 256, (300, 520, 3), dtype=np.uint8)
+    texture = cv2.GaussianBlur(noise, (0, 0), 2).astype(np.float32)
+    texture = ((texture - texture.mean()) * 3 + 110).clip(0, 255)
+    rows, columns = np.mgrid[:240, :400].astype(np.float32)
+    turned = cv2.transform(
+        np.stack((columns, rows), axis=2), cv2.getRotationMatrix2D((200, 120), angle, 1)
+    )
+    x = turned[..., 0] * (1 - 0.05 * (shift != 0)) + shift + 50
+    view = cv2.remap(texture, x, turned[..., 1] + down + 30, cv2.INTER_CUBIC)
+    return (view * gain).clip(0, 255).astype(np.uint8)
+
+
+def levels(left, right, **options):
+    return {finding.check: finding.level for finding in check_pair(left, right, **options)}
+
+
+GOOD = dict.fromkeys(("content", "exposure", "rectified", "order", "range"), "good")
+
+
+def test_a_good_pair():
+    assert levels(scene(), scene(40)) == GOOD
+    assert levels(scene(), scene(40), max_disparity=48) == GOOD
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "check", "level", "words"),
+    [
+        ({"shift": 40}, {}, "order", "problem", "swapped: exchange"),
+        ({}, {"shift": -10}, "order", "problem", "negative disparity|swapped"),
+        ({}, {"shift": 40, "down": 3}, "rectified", "problem", "3.0 px higher.*view down"),
+        ({}, {"shift": 40, "down": -3}, "rectified", "problem", "3.0 px lower.*view up"),
+        ({}, {"shift": 40, "down": 1}, "rectified", "warning", "1.0 px higher"),
+        ({}, {"shift": 40, "angle": 3}, "rectified", "problem", "msnet rectify"),
+        ({}, {"shift": 40, "gain": 0.5}, "exposure", "warning", "factor of 2.0.*lock exposure"),
+        ({}, {}, "content", "problem", "same picture"),
+        ({}, {"gain": 0.9}, "views", "problem", "nothing moves"),
+        ({}, {"gain": 0.0}, "content", "problem", "right view is blank"),
+    ],
+)
+def test_what_is_wrong_is_said(left, right, check, level, words):
+    findings = {finding.check: finding for finding in check_pair(scene(**left), scene(**right))}
+    assert findings[check].level == level
+    assert findings[check].advice
+    assert re.search(words, str(findings[check]))
+
+
+def test_range():
+    (finding,) = [f for f in check_pair(scene(), scene(40), 32) if f.check == "range"]
+    assert finding.level == "problem"
+    # The largest disparity is 40 px: 0.9 * 31 / 40.
+    assert "0.7" in finding.advice
+
+
+def test_two_scenes_cannot_be_told():
+    left, right = np.random.default_rng(0).integers(0, 256, (2, 200, 300, 3), dtype=np.uint8)
+    assert levels(left, right)["geometry"] == "unknown"
+    grey = np.full_like(left, 128)
+    grey[:, ::2] += 20
+    assert levels(grey, left)["geometry"] == "unknown"
+
+
+def test_quick_checks_are_the_first_two():
+    assert [finding.check for finding in quick_checks(scene(), scene(40))] == list(GOOD)[:2]

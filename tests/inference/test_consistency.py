@@ -1,0 +1,54 @@
+import numpy as np
+
+from mobilestereonet import StereoMatcher
+from mobilestereonet.inference.consistency import occluded_pixels
+
+
+def test_a_box_before_a_wall():
+    # A wall at 2 px and before it, in left columns 10 to 14, a box at 6 px: in the right view it
+    # covers columns 4 to 8. The wall's left columns 6 to 9 would lie there: hidden. The wall's
+    # columns 0 and 1 lie beyond the right view's border.
+    left = np.full((3, 24), 2, np.float32)
+    left[:, 10:15] = 6
+    right = np.full((3, 24), 2, np.float32)
+    right[:, 4:9] = 6
+    hidden = np.zeros((3, 24), bool)
+    hidden[:, [0, 1, 6, 7, 8, 9]] = True
+    np.testing.assert_array_equal(occluded_pixels(left, right), hidden)
+
+
+def test_small_differences_agree_and_unknown_does_not():
+    left, right = np.full((2, 2, 8), 0, np.float32)
+    right[:] = 0.9
+    assert not occluded_pixels(left, right).any()
+    right[:] = 1.1
+    assert occluded_pixels(left, right).all()
+    left[0, 3] = np.inf
+    left[0, 4] = np.nan
+    right[:] = 0
+    np.testing.assert_array_equal(np.argwhere(occluded_pixels(left, right)), [[0, 3], [0, 4]])
+
+
+class Bright:
+    """An engine that knows the truth: a pixel's disparity is ten times its brightness."""
+
+    name = "bright"
+    normalised = False
+    multiple = 1
+    max_disparity = 16
+
+    def __call__(self, left, right):
+        return (10 * left.mean(dim=1)).round()
+
+
+def test_matcher_gives_the_right_view_and_the_check():
+    right = np.full((4, 24), 0.2, np.float32)
+    right[:, 4:9] = 0.6
+    left = np.full((4, 24), 0.2, np.float32)
+    left[:, 10:15] = 0.6
+    result = StereoMatcher(Bright(), left_right=True)(left, right)
+    np.testing.assert_array_equal(result.disparity, 10 * left)
+    np.testing.assert_array_equal(result.right_disparity, 10 * right)
+    assert result.occluded.any(axis=0).nonzero()[0].tolist() == [0, 1, 6, 7, 8, 9]
+    plain = StereoMatcher(Bright())(left, right)
+    assert plain.right_disparity is plain.occluded is plain.confidence is None

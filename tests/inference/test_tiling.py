@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from mobilestereonet import InputError, StereoMatcher
+from mobilestereonet.inference import matcher as matcher_module
+from mobilestereonet.inference.tiling import BLEND, CONTEXT
+
+RANGE = 40
+
+
+class Field:
+    """An engine that looks exactly as far as the margins allow, on a grid of 16 px.
+
+    Each block of 16 x 16 px gets the mean of the left view over the blocks up to 96 px around,
+    and the right view's block that lies 48 px, the range on the grid, beyond that to the left.
+    """
+
+    name = "field"
+    normalised = False
+    multiple = 16
+    max_disparity = RANGE
+
+    def __init__(self):
+        self.sizes = []
+
+    def __call__(self, left, right):
+        assert left.shape == right.shape
+        self.sizes.append(tuple(left.shape[-2:]))
+        left, right = (F.avg_pool2d(view.mean(1, keepdim=True), 16) for view in (left, right))
+        around = CONTEXT // 16
+        left = F.avg_pool2d(F.pad(left, [around] * 4), 2 * around + 1, stride=1)
+        shift = around + 48 // 16
+        right = F.pad(right, (shift, 0))[..., : right.shape[-1]]
+        blocks = (left + right).squeeze(1)
+        return blocks.repeat_interleave(16, dim=1).repeat_interleave(16, dim=2)
+
+
+class Constants:
+    """An engine that gives another constant at each call."""
+
+    name = "constants"
+    normalised = False
+    multiple = 16
+    max_disparity = RANGE
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, left, right):
+        self.calls += 1
+        return torch.full((len(left), *left.shape[-2:]), float(self.calls % 2))
+
+
+def random_views(height, width, batch=1):
+    return torch.rand(2, batch, 3, height, width, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    ("size", "tile"),
+    [
+        ((600, 900), (320, 400)),
+        ((601, 903), (320, 400)),  # padded above and on the right
+        ((607, 350), (330, 410)),  # one column of tiles; a tile off the grid is rounded down
+        ((100, 903), (320, 400)),  # one row of tiles
+        ((100, 120), (320, 400)),  # a single tile
+    ],
+)
+def test_tiles_give_what_the_whole_gives_if_the_engine_sees_no_farther(size, tile):
+    left, right = random_views(*size, batch=2)
+    whole, tiled = Field(), Field()
+    expected = StereoMatcher(whole, tile=None).disparity(left, right)
+    result = StereoMatcher(tiled, tile=tile).disparity(left, right)
+    torch.testing.assert_close(result, expected, rtol=0, atol=1e-6)
+    assert len(whole.sizes) == 1
+    # One size that never exceeds the tile: what an engine of fixed size and bounded memory needs.
+    assert len(set(tiled.sizes)) == 1
+    height, width = tiled.sizes[0]
+    assert height <= tile[0] // 16 * 16 and width <= tile[1] // 16 * 16
+
+
+def test_a_smaller_margin_would_be_seen():
+    left, right = random_views(600, 900)
+    engine = Field()
+    expected = StereoMatcher(engine, tile=None).disparity(left, right)
+    engine.max_disparity = 1  # the truth is 48
+    result = StereoMatcher(engine, tile=(320, 400)).disparity(left, right)
+    assert (result - expected).abs().max() > 1e-3
+
+
+def test_a_disagreement_fades_over_the_blend():
+    left, right = random_views(600, 900)
+    result = StereoMatcher(Constants(), tile=(320, 400)).disparity(left, right)[0]
+    assert result.min() == 0
+    assert result.max() == 1
+    # A smooth step over n px is nowhere steeper than 1.5 / n; rows and columns of tiles meet.
+    for steps in (result.diff(dim=0), result.diff(dim=1)):
+        assert steps.abs().max() < 2 * 1.5 / BLEND
+
+
+def test_large_pairs_are_tiled_by_default(monkeypatch):
+    monkeypatch.setattr(matcher_module, "WHOLE_PIXELS", 600 * 640)
+    monkeypatch.setattr(matcher_module, "TILE", (320, 480))
+    engine = Field()
+    StereoMatcher(engine).disparity(*random_views(600, 640))
+    assert engine.sizes == [(608, 640)]
+    result = StereoMatcher(engine)(*np.zeros((2, 601, 640), np.uint8))
+    assert engine.sizes[1:] == [(320, 480)] * len(engine.sizes[1:])
+    assert len(engine.sizes) > 3
+    assert result.disparity.shape == (601, 640)
+    engine.sizes.clear()
+    StereoMatcher(engine, tile=None).disparity(*random_views(601, 640))
+    StereoMatcher(engine, padding=(640, 656)).disparity(*random_views(601, 640))
+    assert engine.sizes == [(608, 640), (640, 656)]
+
+
+def test_refused():
+    views = random_views(600, 900)
+    with pytest.raises(InputError, match="height 256 are too small: the margins need 256 px"):
+        StereoMatcher(Field(), tile=(256, 480)).disparity(*views)
+    with pytest.raises(InputError, match="width 304 are too small: the margins need 304 px"):
+        StereoMatcher(Field(), tile=(320, 310)).disparity(*views)
+    with pytest.raises(InputError, match=r"tiles of \(320, 400\) and padding to \(640, 960\)"):
+        StereoMatcher(Field(), tile=(320, 400), padding=(640, 960))

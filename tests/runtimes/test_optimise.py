@@ -1,0 +1,173 @@
+import copy
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from mobilestereonet import InputError, create_model, list_models, load_authors_checkpoint
+from mobilestereonet.nets.blocks import V2Block
+from mobilestereonet.runtimes import fused
+from mobilestereonet.runtimes.optimise import (
+    drop_training_heads,
+    fold_norms,
+    fuse_convolutions,
+    optimise,
+    slice_blocks,
+    volume_by_planes,
+    weights_channels_last,
+)
+
+TESTS = Path(__file__).parents[1]
+STEPS = (
+    fold_norms,
+    drop_training_heads,
+    volume_by_planes,
+    slice_blocks,
+    fuse_convolutions,
+    weights_channels_last,
+)
+NAMES = ["msnet2d", "msnet3d", "msnet3d-authors", "baseline2d", "baseline3d"]
+NAMES += [name for name in list_models() if name.startswith("table2-")]
+NAMES += ["table3a-v1-v1", "table3a-v2-v2", "table3b-v1-v1", "table3b-v2-v2"]
+
+
+def network(name, **fields):
+    """In eval mode, with weights and statistics that leave the soft-argmax soft."""
+    torch.manual_seed(0)
+    net = create_model(name, max_disparity=32, **fields).eval()
+    for key, value in net.state_dict().items():
+        if key.endswith("running_mean"):
+            value.normal_(std=0.1)
+        elif value.ndim == 1 and value.is_floating_point():
+            value.uniform_(0.7, 1.3) if not key.endswith("bias") else value.normal_(std=0.1)
+    left, right = torch.randn(2, 2, 3, 32, 64)
+    with torch.no_grad():
+        scores = net.scores(left, right)[-1]
+        net.heads[-1].score.weight /= scores.std()
+    return net, left, right
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_rewriting_keeps_the_result(name, monkeypatch):
+    monkeypatch.setattr(fused, "SLICE", 5000)  # so that v2 blocks are cut into several slices
+    net, left, right = network(name)
+    net, left, right = net.double(), left.double(), right.double()
+    with torch.inference_mode():
+        expected = net(left, right)
+        assert 0.5 < expected.std() < 12  # neither one value nor the ends of the range everywhere
+        for step in STEPS:
+            step(net)
+            torch.testing.assert_close(net(left, right), expected, rtol=0, atol=1e-6)
+    assert not any(isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d) for module in net.modules())
+
+
+def parity():
+    spec = importlib.util.spec_from_file_location("parity", TESTS / "weights/test_authors.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_equals_the_authors_networks(name, tmp_path):
+    fixture = parity()
+    torch.save(fixture.authors_state(name), tmp_path / "checkpoint.ckpt")
+    net = optimise(load_authors_checkpoint(tmp_path / "checkpoint.ckpt").double())
+    assert fixture.largest_error(net, torch.float64, fixture.OUTPUTS[name], seed=7) < 1e-6
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-4), (torch.bfloat16, 0.5)])
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d", "table3a-v1-v1", "table3b-v2-v2"])
+def test_fused_operators_round_and_no_more(name, dtype, tolerance, monkeypatch):
+    monkeypatch.setattr(fused, "SLICE", 5000)
+    net, left, right = network(name)
+    with torch.inference_mode():
+        expected = copy.deepcopy(net).double()(left.double(), right.double())
+        views = (view.to(dtype, memory_format=torch.channels_last) for view in (left, right))
+        disparity = optimise(net).to(dtype)(*views)
+    assert disparity.dtype == torch.float32
+    assert (disparity - expected).abs().mean() < tolerance
+
+
+@pytest.mark.parametrize("elements", [1, 700, 3000])
+@pytest.mark.parametrize("dims", [2, 3])
+@pytest.mark.parametrize(
+    ("outputs", "stride", "dilation"), [(4, 1, 1), (6, 1, 1), (4, 1, 2), (6, 2, 1)]
+)
+def test_a_block_in_slices(dims, outputs, stride, dilation, elements, monkeypatch):
+    monkeypatch.setattr(fused, "SLICE", elements)
+    torch.manual_seed(0)
+    block = V2Block(dims, 4, outputs, expansion=3, stride=stride, dilation=dilation)
+    layers = nn.Sequential(block, nn.ReLU()).double().eval()
+    for module in layers.modules():
+        if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+            module.running_mean.normal_()
+            module.bias.data.normal_(std=3)  # so that padding differs from the value around it
+    for height in (1, 2, 11):
+        x = torch.randn(2, 4, *[5] * (dims - 2), height, 7, dtype=torch.float64)
+        sliced = copy.deepcopy(layers)
+        with torch.inference_mode():
+            expected = layers(x)
+            for step in (fold_norms, slice_blocks, fuse_convolutions):
+                step(sliced)
+            torch.testing.assert_close(sliced(x), expected, rtol=0, atol=1e-12)
+
+
+def test_norms_stay_in_training():
+    with pytest.raises(InputError, match=r"eval mode: call net\.eval"):
+        fold_norms(create_model("msnet2d", max_disparity=32))
+
+
+def test_the_network_given_stays_as_it_is():
+    net = network("msnet2d")[0]
+    state = {key: value.clone() for key, value in net.train().state_dict().items()}
+    optimise(net)
+    assert net.training
+    assert net.state_dict().keys() == state.keys()
+    assert all(value.equal(state[key]) for key, value in net.state_dict().items())
+
+
+class Operators(TorchDispatchMode):
+    """Counts operators by name; notes the largest tensor that one makes."""
+
+    def __init__(self):
+        super().__init__()
+        self.counts = {}
+        self.largest = 0
+
+    def __torch_dispatch__(self, operator, types, args=(), kwargs=None):
+        result = operator(*args, **(kwargs or {}))
+        name = operator.overloadpacket.__name__
+        self.counts[name] = self.counts.get(name, 0) + 1
+        if isinstance(result, torch.Tensor):
+            self.largest = max(self.largest, result.numel())
+        return result
+
+
+def operators(net, left, right):
+    with torch.inference_mode(), Operators() as mode:
+        net(left, right)
+    return mode
+
+
+@pytest.mark.parametrize(
+    ("name", "calls", "largest"),
+    [
+        # The largest tensors: of the 2D network the hidden one of a v2 block at half resolution,
+        # 96 channels of both views; of the 3D network twice its volume, 40 channels of 8 planes.
+        ("msnet2d", 660, 2 * 96 * 32 * 64),
+        ("msnet3d", 3000, 2 * 40 * 8 * 16 * 32),
+    ],
+)
+def test_operators_and_largest_tensor(name, calls, largest, monkeypatch):
+    monkeypatch.setattr(fused, "SLICE", 2 * 96 * 32 * 64 if name == "msnet2d" else 1)
+    net = create_model(name, max_disparity=32).eval()
+    views = [torch.randn(1, 3, 64, 128).to(memory_format=torch.channels_last) for _ in range(2)]
+    plain, fast = operators(net, *views), operators(optimise(net), *views)
+    assert fast.largest < plain.largest
+    assert not {"native_batch_norm", "_native_batch_norm_legit_no_training"} & fast.counts.keys()
+    assert sum(fast.counts.values()) <= calls
+    assert fast.largest <= largest
