@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
+import torch
 
-from mobilestereonet import StereoMatcher
+from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.inference.consistency import occluded_pixels
 
 
@@ -52,3 +54,32 @@ def test_matcher_gives_the_right_view_and_the_check():
     assert result.occluded.any(axis=0).nonzero()[0].tolist() == [0, 1, 6, 7, 8, 9]
     plain = StereoMatcher(Bright())(left, right)
     assert plain.right_disparity is plain.occluded is plain.confidence is None
+
+
+class Sure(Bright):
+    """It is as sure as the right view is bright."""
+
+    def with_confidence(self, left, right):
+        return self(left, right), right.mean(dim=1)
+
+
+def test_matcher_gives_the_confidence_whole_and_in_tiles():
+    left, right = np.random.default_rng(0).random((2, 300, 500), dtype=np.float32)
+    for tile in (None, (272, 288)):
+        result = StereoMatcher(Sure(), confidence=True, tile=tile)(left, right)
+        np.testing.assert_allclose(result.confidence, right, atol=1e-6)
+        np.testing.assert_allclose(result.disparity, (10 * left).round(), atol=1e-5)
+    with pytest.raises(InputError, match="bright tells no confidence"):
+        StereoMatcher(Bright(), confidence=True)
+
+
+def test_the_network_gives_both_at_once():
+    net = create_model("msnet2d", max_disparity=32)
+    matcher = StereoMatcher(net, confidence=True, left_right=True)
+    left, right = np.random.default_rng(0).random((2, 30, 50), dtype=np.float32)
+    result = matcher(left, right)
+    views = torch.from_numpy(left).expand(1, 3, -1, -1), torch.from_numpy(right)
+    expected = matcher.disparity(views[0], views[1].expand(1, 3, -1, -1))[0].numpy()
+    np.testing.assert_allclose(result.disparity, expected, rtol=0, atol=1e-4)
+    assert result.confidence.shape == (30, 50)
+    assert 0 <= result.confidence.min() < result.confidence.max() <= 1

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
+
 
 def predict(
     left: Annotated[Path, typer.Argument(help="Left view of a rectified pair.")],
@@ -19,19 +21,86 @@ def predict(
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")
     ] = None,
+    confidence: Annotated[
+        bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
+    ] = False,
+    left_right: Annotated[
+        bool,
+        typer.Option("--left-right", help="The right view's disparity, and what is occluded."),
+    ] = False,
+    calib: Calib = None,
+    calib_left: CalibLeft = None,
+    unit: Unit = None,
+    focal: Focal = None,
+    baseline: Baseline = None,
+    doffs: Doffs = 0.0,
+    depth: Annotated[
+        list[Path] | None,
+        typer.Option(help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more."),
+    ] = None,
+    points: Annotated[
+        list[Path] | None, typer.Option(help="Point cloud: .ply or .glb. Repeat for more.")
+    ] = None,
+    max_depth: Annotated[
+        float, typer.Option(min=0, help="Leave farther points out, in metres.")
+    ] = float("inf"),
+    min_confidence: Annotated[
+        float, typer.Option(min=0, max=1, help="Leave less confident points out.")
+    ] = 0.0,
+    keep_edges: Annotated[
+        bool, typer.Option("--keep-edges", help="Keep points at depth edges, which float.")
+    ] = False,
+    tile: Annotated[
+        tuple[int, int] | None,
+        typer.Option(help="Height and width of tiles. Default: 960 1536, above Full HD."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the facts as JSON.")] = False,
 ) -> None:
     """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
     import json
+    import sys
 
     from mobilestereonet.atomic import make_folder
+    from mobilestereonet.cli.calibration import calibration_from
+    from mobilestereonet.data.depth_files import check_depth_file, write_depth
+    from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher, load_pair
+    from mobilestereonet.inference.checks import quick_checks
+    from mobilestereonet.inference.geometry import check_points_file
+    from mobilestereonet.plots import to_picture
 
+    depth_files = [check_depth_file(path) for path in depth or ()]
+    point_files = [check_points_file(path) for path in points or ()]
+    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
+    if calibration is None and (depth_files or point_files):
+        raise InputError("depth and points need --calib FILE, or --focal and --baseline")
     pair = load_pair(left, right)
-    matcher = StereoMatcher.from_pretrained(model, weights=weights)
-    make_folder(output)
+    matcher = StereoMatcher.from_pretrained(
+        model,
+        weights=weights,
+        tile=tile or "auto",
+        confidence=confidence or min_confidence > 0,
+        left_right=left_right,
+    )
+    for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
+        make_folder(folder)
+    for finding in quick_checks(to_picture(pair[0]), to_picture(pair[1])):
+        if finding.level != "good":
+            print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
     result = matcher(*pair)
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
+    if calibration is not None:
+        for file in depth_files:
+            write_depth(file, result.depth(calibration))
+            files[f"depth{file.suffix}"] = str(file)
+        for file in point_files:
+            result.points(
+                calibration,
+                max_depth=max_depth,
+                min_confidence=min_confidence,
+                edges=keep_edges,
+            ).save(file)
+            files[f"points{file.suffix}"] = str(file)
     if as_json:
         print(json.dumps({**result.facts, "files": files}, indent=2))
         return

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, Literal, cast, overload
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
-from mobilestereonet.runtimes.base import Runtime
+from mobilestereonet.runtimes.base import ConfidentRuntime, Runtime
 from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import load_pretrained, load_weights
@@ -42,6 +43,7 @@ class StereoMatcher:
         model: str | None = None,
         padding: tuple[int, int] | None = None,
         tile: tuple[int, int] | Literal["auto"] | None = "auto",
+        confidence: bool = False,
         left_right: bool = False,
     ) -> None:
         """Wrap an engine.
@@ -55,21 +57,28 @@ class StereoMatcher:
                 margins included; None for one piece at any size. By default `TILE`, for pairs
                 above `WHOLE_PIXELS`: Full HD fits into 4 GB in one piece, and any pair does in
                 tiles.
+            confidence: Results have a confidence, at no cost.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.
 
         Raises:
-            InputError: If both ``padding`` and ``tile`` are given.
+            InputError: If both ``padding`` and ``tile`` are given, or the engine tells no
+                confidence.
         """
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         if isinstance(engine, StereoNet):
             model = model or _name(engine.config)
             engine = TorchRuntime(engine)
+        if confidence and not isinstance(engine, ConfidentRuntime):
+            raise InputError(
+                f"{engine.name} tells no confidence; the left-right check works with it"
+            )
         self.runtime: Runtime = engine
         self.model = model or engine.name
         self.padding = padding
         self.tile = tile
+        self.confidence = confidence
         self.left_right = left_right
 
     @classmethod
@@ -80,6 +89,9 @@ class StereoMatcher:
         weights: str | Path | None = None,
         runtime: str = "torch",
         padding: tuple[int, int] | None = None,
+        tile: tuple[int, int] | Literal["auto"] | None = "auto",
+        confidence: bool = False,
+        left_right: bool = False,
         **options: Any,
     ) -> StereoMatcher:
         """Matcher with trained weights.
@@ -90,6 +102,9 @@ class StereoMatcher:
             weights: File to read instead: ours, or a checkpoint of the authors.
             runtime: Engine that runs the network: "torch".
             padding: See `StereoMatcher`.
+            tile: Likewise.
+            confidence: Likewise.
+            left_right: Likewise.
             **options: For the engine: ``device`` and ``threads`` of `TorchRuntime`, or
                 ``max_disparity`` of `StereoSGBM`.
 
@@ -98,10 +113,16 @@ class StereoMatcher:
             InputError: If a name is unknown, there are no weights for it, or the file is damaged
                 or holds another model than ``model``.
         """
+        wanted: dict[str, Any] = {
+            "padding": padding,
+            "tile": tile,
+            "confidence": confidence,
+            "left_right": left_right,
+        }
         if model == StereoSGBM.name:
             if weights is not None:
                 raise InputError(f"{model} has no weights to read from {weights}: leave them out")
-            return cls(StereoSGBM(**options), padding=padding)
+            return cls(StereoSGBM(**options), **wanted)
         if runtime != TorchRuntime.name:
             raise InputError(f"unknown runtime {runtime!r}: there is {TorchRuntime.name}")
         if weights is None:
@@ -110,7 +131,7 @@ class StereoMatcher:
         else:
             net = load_weights(weights)
             _check_model(model, net.config, weights)
-        return cls(TorchRuntime(net, **options), model=model or _name(net.config), padding=padding)
+        return cls(TorchRuntime(net, **options), model=model or _name(net.config), **wanted)
 
     @overload
     def __call__(self, left: View, right: View) -> StereoResult: ...
@@ -169,7 +190,8 @@ class StereoMatcher:
             )
         left, right = (torch.stack(views) for views in zip(*loaded, strict=True))
         started = time.perf_counter()
-        disparities = self.disparity(left, right).cpu()
+        disparities, *more = self._maps(left, right, self.confidence).cpu()
+        confidences: Sequence[Tensor | None] = more[0].unbind() if more else [None] * len(loaded)
         right_disparities: Sequence[Tensor | None] = [None] * len(loaded)
         if self.left_right:
             right_disparities = self.right_disparity(left, right).cpu().unbind()
@@ -182,7 +204,7 @@ class StereoMatcher:
         }
         return [
             _result(*maps, dict(facts))
-            for maps in zip(left, disparities, right_disparities, strict=True)
+            for maps in zip(left, disparities, confidences, right_disparities, strict=True)
         ]
 
     def disparity(self, left: Tensor, right: Tensor) -> Tensor:
@@ -199,22 +221,7 @@ class StereoMatcher:
             InputError: If the shapes differ, or exceed the ``padding`` of this matcher, or if its
                 tiles are too small for their margins.
         """
-        if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
-            raise InputError(
-                "left and right must both be (B, 3, H, W), "
-                f"got {tuple(left.shape)} and {tuple(right.shape)}"
-            )
-        tile = self._tile_for(*left.shape[-2:])
-        if tile is None:
-            return self._match_whole(left, right)
-        return match_in_tiles(
-            self._match_whole,
-            left,
-            right,
-            tile=tile,
-            max_disparity=self.runtime.max_disparity,
-            multiple=self.runtime.multiple,
-        )
+        return self._maps(left, right)[0]
 
     def right_disparity(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity of the right views: both are mirrored, and change places.
@@ -232,16 +239,41 @@ class StereoMatcher:
         """
         return self.disparity(right.flip(-1), left.flip(-1)).flip(-1)
 
+    def _maps(self, left: Tensor, right: Tensor, confidence: bool = False) -> Tensor:
+        """Disparity, and the confidence if it is asked for: (1 or 2, B, H, W)."""
+        if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
+            raise InputError(
+                "left and right must both be (B, 3, H, W), "
+                f"got {tuple(left.shape)} and {tuple(right.shape)}"
+            )
+        match = partial(self._match_whole, confidence=confidence)
+        tile = self._tile_for(*left.shape[-2:])
+        if tile is None:
+            return match(left, right)
+        return match_in_tiles(
+            match,
+            left,
+            right,
+            tile=tile,
+            max_disparity=self.runtime.max_disparity,
+            multiple=self.runtime.multiple,
+        )
+
     def _tile_for(self, height: int, width: int) -> tuple[int, int] | None:
         if self.tile != "auto":
             return self.tile
         return TILE if self.padding is None and height * width > WHOLE_PIXELS else None
 
-    def _match_whole(self, left: Tensor, right: Tensor) -> Tensor:
+    def _match_whole(self, left: Tensor, right: Tensor, *, confidence: bool) -> Tensor:
         height, width = left.shape[-2:]
         padded = self._padded_size(height, width)
         views = [normalise(view) if self.runtime.normalised else view for view in (left, right)]
-        return unpad(self.runtime(*(pad(view, *padded) for view in views)), height, width)
+        views = [pad(view, *padded) for view in views]
+        if confidence:
+            maps = torch.stack(cast(ConfidentRuntime, self.runtime).with_confidence(*views))
+        else:
+            maps = self.runtime(*views)[None]
+        return unpad(maps, height, width)
 
     def _padded_size(self, height: int, width: int) -> tuple[int, int]:
         multiple = self.runtime.multiple
@@ -256,7 +288,11 @@ class StereoMatcher:
 
 
 def _result(
-    left: Tensor, disparity: Tensor, right_disparity: Tensor | None, facts: dict[str, Any]
+    left: Tensor,
+    disparity: Tensor,
+    confidence: Tensor | None,
+    right_disparity: Tensor | None,
+    facts: dict[str, Any],
 ) -> StereoResult:
     disparities = disparity.contiguous().numpy()
     right = occluded = None
@@ -267,6 +303,7 @@ def _result(
         left=to_picture(left),
         disparity=disparities,
         valid=np.isfinite(disparities),
+        confidence=None if confidence is None else confidence.contiguous().numpy(),
         right_disparity=right,
         occluded=occluded,
         facts=facts,

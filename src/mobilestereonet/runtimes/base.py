@@ -46,3 +46,21 @@ class Runtime(Protocol):
             Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
         """
         ...
+
+
+@runtime_checkable
+class ConfidentRuntime(Runtime, Protocol):
+    """An engine that tells how sure it is as well."""
+
+    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """Match the views.
+
+        Args:
+            left: Left views, (B, 3, H, W) float, prepared as the attributes say.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, and its confidence in 0..1 (see
+            `mobilestereonet.nets.confidence`), both (B, H, W) float32 on the device of ``left``.
+        """
+        ...

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets.confidence import match_confidence
+from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.runtimes.optimise import fold_norms, optimise, weights_channels_last
 
 _PRECISIONS = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -87,12 +89,33 @@ class TorchRuntime:
         Raises:
             InputError: If the shapes do not fit.
         """
-        views = [
+        with torch.inference_mode(), _threads(self.threads):
+            return cast(Tensor, self.net(*self._views(left, right))).to(left.device)
+
+    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """Match the views and tell how sure the network is.
+
+        Args:
+            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, and its confidence in 0..1, both (B, H, W) float32
+            on the device of ``left``.
+
+        Raises:
+            InputError: If the shapes do not fit.
+        """
+        with torch.inference_mode(), _threads(self.threads):
+            scores = self.net.scores(*self._views(left, right))[-1]
+            maps = regress_disparity(scores), match_confidence(scores)
+            return maps[0].to(left.device), maps[1].to(left.device)
+
+    def _views(self, left: Tensor, right: Tensor) -> list[Tensor]:
+        return [
             view.to(self.device, self.dtype, memory_format=torch.channels_last)
             for view in (left, right)
         ]
-        with torch.inference_mode(), _threads(self.threads):
-            return cast(Tensor, self.net(*views)).to(left.device)
 
 
 def has_bfloat16() -> bool:

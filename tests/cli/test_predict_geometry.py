@@ -1,0 +1,109 @@
+"""Depth, points, confidence and checks from ``msnet predict``."""
+
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilestereonet.cli.main import main
+
+
+@pytest.fixture
+def msnet(monkeypatch, capsys):
+    """Runs the command line; gives exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A pair of a plane at 20 px of disparity, and its calibration."""
+    noise = np.random.default_rng(0).integers(0, 256, (120, 260, 3), dtype=np.uint8)
+    wide = cv2.GaussianBlur(noise, (0, 0), 1)
+    cv2.imwrite(str(tmp_path / "left.png"), wide[:, :240])
+    cv2.imwrite(str(tmp_path / "right.png"), wide[:, 20:])
+    matrix = "[500 0 {}; 0 500 60; 0 0 1]"
+    (tmp_path / "calib.txt").write_text(
+        f"cam0={matrix.format(120)}\ncam1={matrix.format(125)}\ndoffs=5\nbaseline=100\n"
+    )
+    return tmp_path
+
+
+def predict(msnet, folder, *options, right="right.png"):
+    views = folder / "left.png", folder / right
+    return msnet("predict", *views, "-o", folder / "out", "--model", "sgbm", *options)
+
+
+def test_depth_and_points(msnet, folder):
+    depth = [folder / "new" / name for name in ("depth.png", "depth.npy", "depth.tiff")]
+    points = [folder / "new" / name for name in ("points.ply", "points.glb")]
+    options = [text for path in depth for text in ("--depth", path)]
+    options += [text for path in points for text in ("--points", path)]
+    code, out, err = predict(msnet, folder, *options, "--calib", folder / "calib.txt", "--json")
+    assert (code, err) == (0, "")
+    assert {str(path) for path in (*depth, *points)} <= set(json.loads(out)["files"].values())
+    # 500 px * 0.1 m / (20 px + 5 px)
+    assert np.median(np.load(depth[1])) == pytest.approx(2, abs=0.01)
+    assert np.median(cv2.imread(str(depth[0]), cv2.IMREAD_UNCHANGED)) == pytest.approx(2000, abs=10)
+    np.testing.assert_array_equal(
+        cv2.imread(str(depth[2]), cv2.IMREAD_UNCHANGED), np.load(depth[1])
+    )
+    assert b"element vertex" in points[0].read_bytes()[:300]
+    assert points[1].read_bytes()[:4] == b"glTF"
+
+
+def test_numbers_instead_of_a_file(msnet, folder):
+    numbers = ("--focal", 500, "--baseline", 0.1, "--doffs", 5)
+    code, _, _ = predict(msnet, folder, "--depth", folder / "depth.npy", *numbers)
+    assert code == 0
+    assert np.median(np.load(folder / "depth.npy")) == pytest.approx(2, abs=0.01)
+
+
+def test_left_right(msnet, folder):
+    code, _, _ = predict(msnet, folder, "--left-right")
+    assert code == 0
+    right = np.load(folder / "out" / "left_right_disparity.npy")
+    assert np.median(right) == pytest.approx(20, abs=0.1)
+    occluded = cv2.imread(str(folder / "out" / "left_occluded.png"), cv2.IMREAD_UNCHANGED)
+    # The right camera does not see the left columns.
+    assert occluded[:, :18].mean() > 200
+    assert occluded[:, 30:200].mean() < 20
+
+
+def test_one_picture_twice_is_warned_of(msnet, folder):
+    code, _, err = predict(msnet, folder, right="left.png")
+    assert code == 0
+    assert err.startswith("msnet: content: both views are the same picture")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--depth", "d.npy"), "depth and points need --calib FILE, or --focal and --baseline"),
+        (("--points", "p.ply", "--focal", 500), "both --focal and --baseline"),
+        (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),
+        (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
+        (("--calib", "calib.txt", "--baseline", 1), "leave the options out"),
+        (("--calib", "none.txt"), "none.txt: no such file"),
+        (("--calib", "left.png"), "left.png: unknown calibration format"),
+        (("--depth", "d.exr"), "d.exr: depth is written as"),
+        (("--points", "p.obj"), "p.obj: points are written as"),
+        (("--confidence",), "sgbm tells no confidence"),
+    ],
+)
+def test_bad_input_writes_nothing(msnet, folder, options, message):
+    before = sorted(folder.rglob("*"))
+    named = [folder / text if "." in str(text) else text for text in options]
+    code, out, err = predict(msnet, folder, *named)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(folder.rglob("*")) == before
