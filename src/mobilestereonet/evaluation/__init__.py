@@ -8,6 +8,11 @@ from mobilestereonet.evaluation.evaluate import (
     evaluate,
     save_evaluations,
 )
+from mobilestereonet.evaluation.sparsification import (
+    Sparsification,
+    plot_sparsification,
+    sparsification,
+)
 from mobilestereonet.evaluation.submit import (
     BENCHMARKS,
     Submission,
@@ -22,12 +27,15 @@ __all__ = [
     "Evaluation",
     "EvaluationProtocol",
     "Match",
+    "Sparsification",
     "Submission",
     "authors_protocol",
     "check_submission",
     "evaluate",
     "open_benchmark",
     "plan_submission",
+    "plot_sparsification",
     "save_evaluations",
+    "sparsification",
     "write_submission",
 ]
