@@ -2,6 +2,7 @@
 
 import json
 import re
+import re
 import sys
 
 import cv2
@@ -96,7 +97,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
     before = tree(folder)
     code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
     assert code == 0
-    assert "msnet2d on torch, 40x20" in out
+    assert re.match("msnet2d on torch (fp32|bf16), 40x20: ", out)
     for line in out.splitlines()[1:]:
         assert line.startswith(str(folder / "left_"))
     after = tree(folder)

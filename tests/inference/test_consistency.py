@@ -35,6 +35,7 @@ class Bright:
     """An engine that knows the truth: a pixel's disparity is ten times its brightness."""
 
     name = "bright"
+    precision = "fp32"
     normalised = False
     multiple = 1
     max_disparity = 16

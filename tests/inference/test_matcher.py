@@ -15,6 +15,7 @@ class Recorder:
     """A runtime that notes what it is given and tells each pixel's place in it."""
 
     name = "recorder"
+    precision = "fp32"
     normalised = True
     multiple = 16
 

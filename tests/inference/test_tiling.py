@@ -18,6 +18,7 @@ class Field:
     """
 
     name = "field"
+    precision = "fp32"
     normalised = False
     multiple = 16
     max_disparity = RANGE
@@ -41,6 +42,7 @@ class Constants:
     """An engine that gives another constant at each call."""
 
     name = "constants"
+    precision = "fp32"
     normalised = False
     multiple = 16
     max_disparity = RANGE

@@ -14,6 +14,7 @@ from mobilestereonet.runtimes.optimise import (
     drop_training_heads,
     fold_norms,
     fuse_convolutions,
+    images_one_by_one,
     optimise,
     slice_blocks,
     volume_by_planes,
@@ -23,6 +24,7 @@ from mobilestereonet.runtimes.optimise import (
 TESTS = Path(__file__).parents[1]
 STEPS = (
     fold_norms,
+    images_one_by_one,
     drop_training_heads,
     volume_by_planes,
     slice_blocks,
@@ -154,7 +156,7 @@ def operators(net):
     return mode
 
 
-@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 680), ("msnet3d", 600)])
+@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 790), ("msnet3d", 710)])
 def test_number_of_operators(name, calls):
     net = create_model(name, max_disparity=32).eval()
     plain, fast = operators(net), operators(optimise(net))
@@ -163,12 +165,13 @@ def test_number_of_operators(name, calls):
     assert plain.counts["batch_norm"] > 150 and plain.counts["hardtanh_"] > 100
     assert not {"batch_norm", "hardtanh_", "hardtanh"} & fast.counts.keys()
     assert fast.counts.get("relu", 0) + fast.counts.get("relu_", 0) <= 14
-    assert sum(fast.counts.values()) < calls < 0.75 * sum(plain.counts.values())
+    assert sum(fast.counts.values()) < calls < 0.9 * sum(plain.counts.values())
 
 
-@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
-def test_largest_tensor(name, monkeypatch):
+# Of one view in the 2D network and of both in the 3D one, whose correlation takes all channels.
+@pytest.mark.parametrize(("name", "views"), [("msnet2d", 1), ("msnet3d", 2)])
+def test_no_tensor_is_larger_than_the_features(name, views, monkeypatch):
     monkeypatch.setattr(fused, "SLICE", 1)
     net = create_model(name, max_disparity=32).eval()
-    features = 2 * 320 * 16 * 32  # of both views, which no cost volume or hidden tensor exceeds
+    features = views * 320 * 16 * 32
     assert operators(optimise(net)).largest == features < operators(net).largest

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path(
@@ -19,18 +21,27 @@ def demo(
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")
     ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "auto",
+    threads: Threads = None,
+    device: Device = "auto",
 ) -> None:
     """Match the real Motorcycle pair that scikit-image brings along, and score the result."""
     import torch
 
     from mobilestereonet.atomic import make_folder
+    from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data.motorcycle import motorcycle
     from mobilestereonet.data.sample import collate
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.metrics import StereoMetrics
 
     sample = motorcycle()
-    matcher = StereoMatcher.from_pretrained(model, weights=weights)
+    matcher = StereoMatcher.from_pretrained(
+        model,
+        weights=weights,
+        **engine_options(model, runtime, precision, threads, device),
+    )
     make_folder(output)
     result = matcher(sample.left, sample.right)
     files = result.save(output, sample.name)
@@ -38,7 +49,11 @@ def demo(
     metrics.update(torch.from_numpy(result.disparity)[None], collate([sample]))
     scores = metrics.compute()
 
-    print("Middlebury's Motorcycle, {width}x{height}, {model} on {runtime}".format(**result.facts))
+    print(
+        "Middlebury's Motorcycle, {width}x{height}, {model} on {runtime} {precision}".format(
+            **result.facts
+        )
+    )
     print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
     print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
     print(f"Time {result.facts['seconds']:.2f} s, the first run's")

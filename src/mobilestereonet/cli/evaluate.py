@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+
 
 def evaluate(
     data: Annotated[str, typer.Option(help="Data set, such as kitti2015, sceneflow, folder.")],
@@ -20,6 +22,10 @@ def evaluate(
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")
     ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "fp32",
+    threads: Threads = None,
+    device: Device = "auto",
     split: Annotated[
         str | None, typer.Option(help="Split of the data set. Default: its first.")
     ] = None,
@@ -56,6 +62,7 @@ def evaluate(
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.assignments import parse_assignments
+    from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data import open_data_set
     from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import (
@@ -77,8 +84,15 @@ def evaluate(
     protocol = replace(protocol, max_disparity=max_disparity)
     # The padding is one of normalised views, which sgbm does not take.
     protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
+    engine = (runtime, precision, threads, device)
     matchers = [
-        StereoMatcher.from_pretrained(name, weights=weights, padding=own.padding)
+        StereoMatcher.from_pretrained(
+            name,
+            weights=weights,
+            padding=own.padding,
+            # Beside networks sgbm takes no part in the choice of their engine.
+            **({} if name == "sgbm" and len(models) > 1 else engine_options(name, *engine)),
+        )
         for name, own in zip(models, protocols, strict=True)
     ]
     for folder in (pictures, json and json.parent):

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
 
 
 def predict(
@@ -21,6 +22,10 @@ def predict(
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")
     ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "auto",
+    threads: Threads = None,
+    device: Device = "auto",
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
     ] = False,
@@ -62,6 +67,7 @@ def predict(
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.calibration import calibration_from
+    from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data.depth_files import check_depth_file, write_depth
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher, load_pair
@@ -81,6 +87,7 @@ def predict(
         tile=tile or "auto",
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
+        **engine_options(model, runtime, precision, threads, device),
     )
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)
@@ -104,6 +111,8 @@ def predict(
     if as_json:
         print(json.dumps({**result.facts, "files": files}, indent=2))
         return
-    print("{model} on {runtime}, {width}x{height}: {seconds:.2f} s".format(**result.facts))
+    print(
+        "{model} on {runtime} {precision}, {width}x{height}: {seconds:.2f} s".format(**result.facts)
+    )
     for path in files.values():
         print(path)

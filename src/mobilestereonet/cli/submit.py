@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+
 
 def submit(
     benchmark: Annotated[
@@ -21,6 +23,10 @@ def submit(
     weights: Annotated[
         Path | None, typer.Option(help="Weights file, ours or the authors'.")
     ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "fp32",
+    threads: Threads = None,
+    device: Device = "auto",
     method: Annotated[
         str | None,
         typer.Option(help="Name of the method in Middlebury's files. Default: the model's."),
@@ -36,10 +42,15 @@ def submit(
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder
+    from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
     from mobilestereonet.inference import StereoMatcher
 
-    matcher = StereoMatcher.from_pretrained(model, weights=weights)
+    matcher = StereoMatcher.from_pretrained(
+        model,
+        weights=weights,
+        **engine_options(model, runtime, precision, threads, device),
+    )
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
     make_folder(output.parent)

@@ -22,6 +22,7 @@ from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
 from mobilestereonet.runtimes.base import ConfidentRuntime, Runtime
+from mobilestereonet.runtimes.choose import AUTO, open_runtime
 from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import load_pretrained, load_weights
@@ -87,7 +88,7 @@ class StereoMatcher:
         model: str | None = None,
         *,
         weights: str | Path | None = None,
-        runtime: str = "torch",
+        runtime: str = AUTO,
         padding: tuple[int, int] | None = None,
         tile: tuple[int, int] | Literal["auto"] | None = "auto",
         confidence: bool = False,
@@ -100,18 +101,19 @@ class StereoMatcher:
             model: Name of a model whose weights come with the package, or "sgbm" (OpenCV's
                 semi-global matching). By default "msnet2d", or what ``weights`` holds.
             weights: File to read instead: ours, or a checkpoint of the authors.
-            runtime: Engine that runs the network: "torch".
+            runtime: Engine that runs the network: "auto", "torch", "onnxruntime" or "openvino".
             padding: See `StereoMatcher`.
             tile: Likewise.
             confidence: Likewise.
             left_right: Likewise.
-            **options: For the engine: ``device`` and ``threads`` of `TorchRuntime`, or
-                ``max_disparity`` of `StereoSGBM`.
+            **options: For the engine: ``precision``, ``threads``, ``device`` and ``cache`` of
+                `open_runtime`, or ``max_disparity`` of `StereoSGBM`.
 
         Raises:
             FileNotFoundError: If there is no such weights file.
             InputError: If a name is unknown, there are no weights for it, or the file is damaged
-                or holds another model than ``model``.
+                or holds another model than ``model``; or if the engine is not installed, or lacks
+                the precision or the device.
         """
         wanted: dict[str, Any] = {
             "padding": padding,
@@ -123,15 +125,14 @@ class StereoMatcher:
             if weights is not None:
                 raise InputError(f"{model} has no weights to read from {weights}: leave them out")
             return cls(StereoSGBM(**options), **wanted)
-        if runtime != TorchRuntime.name:
-            raise InputError(f"unknown runtime {runtime!r}: there is {TorchRuntime.name}")
         if weights is None:
             model = model or DEFAULT_MODEL
             net = load_pretrained(model)
         else:
             net = load_weights(weights)
             _check_model(model, net.config, weights)
-        return cls(TorchRuntime(net, **options), model=model or _name(net.config), **wanted)
+        engine = open_runtime(runtime, net, **options)
+        return cls(engine, model=model or _name(net.config), **wanted)
 
     @overload
     def __call__(self, left: View, right: View) -> StereoResult: ...
@@ -198,6 +199,7 @@ class StereoMatcher:
         facts = {
             "model": self.model,
             "runtime": self.runtime.name,
+            "precision": self.runtime.precision,
             "width": left.shape[-1],
             "height": left.shape[-2],
             "seconds": (time.perf_counter() - started) / len(loaded),

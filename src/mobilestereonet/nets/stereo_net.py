@@ -81,7 +81,7 @@ class StereoNet(nn.Module):
         Raises:
             InputError: If the shapes differ or are not multiples of 16.
         """
-        self._check(left, right)
+        self.check_views(left, right)
         views = self.reduction(self.features(torch.cat((left, right))))
         return cast(Tensor, self.volume(*views.chunk(2)))
 
@@ -117,7 +117,12 @@ class StereoNet(nn.Module):
             elif isinstance(module, V2Block) and module.skip:
                 nn.init.zeros_(cast(nn.BatchNorm2d, module.conv[-1]).weight)
 
-    def _check(self, left: Tensor, right: Tensor) -> None:
+    def check_views(self, left: Tensor, right: Tensor) -> None:
+        """Check that two views fit each other and the network.
+
+        Raises:
+            InputError: If the shapes differ or are not multiples of 16.
+        """
         if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
             raise InputError(
                 "left and right must both be (B, 3, H, W), "

@@ -21,6 +21,11 @@ class Runtime(Protocol):
         ...
 
     @property
+    def precision(self) -> str:
+        """What it computes in, such as ``fp32``."""
+        ...
+
+    @property
     def normalised(self) -> bool:
         """True: takes views with ImageNet's mean and standard deviation; False: RGB in 0..1."""
         ...

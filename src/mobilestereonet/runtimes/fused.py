@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.features import ResidualBlock
+from mobilestereonet.nets.hourglass import Hourglass
 
 _ONEDNN: dict[str, tuple[str, list[float]]] = {
     "none": ("none", []),
@@ -18,7 +19,7 @@ _ONEDNN: dict[str, tuple[str, list[float]]] = {
 }
 """oneDNN's names and limits of the activations that it can append to a convolution."""
 
-SLICE = 1 << 23
+SLICE = 1 << 22
 """Elements of a v2 block's hidden tensor that exist at a time."""
 
 
@@ -96,6 +97,23 @@ class FusedResidualBlock(nn.Module):
         return cast(Tensor, self.last(self.layers(x), self.downsample(x)))
 
 
+class FusedHourglass(nn.Module):
+    """`Hourglass` that sums in place."""
+
+    def __init__(self, hourglass: Hourglass) -> None:
+        super().__init__()
+        self.down1 = nn.Sequential(hourglass.conv1, hourglass.conv2)
+        self.down2 = nn.Sequential(hourglass.conv3, hourglass.conv4)
+        self.up5, self.redirect2 = hourglass.up5, hourglass.redirect2
+        self.up6, self.redirect1 = hourglass.up6, hourglass.redirect1
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, width, ...), spatial sizes multiples of 4 -> the same shape."""
+        half = self.down1(x)
+        half = self.up5(self.down2(half)).add_(self.redirect2(half)).relu_()
+        return cast(Tensor, self.up6(half).add_(self.redirect1(x)).relu_())
+
+
 class SlicedV2Block(nn.Module):
     """`V2Block` of fused convolutions, some rows at a time where its hidden tensor is large.
 
@@ -133,7 +151,9 @@ class SlicedV2Block(nn.Module):
         first, last = stride * top - reach, stride * (bottom - 1) + reach + 1
         above, below = max(-first, 0), max(last - x.shape[-2], 0)
         y = self.expand(x[..., first + above : last - below, :])
-        return cast(Tensor, self.depthwise(F.pad(y, (0, 0, above, below)), pad_rows=False))
+        if above or below:
+            y = F.pad(y, (0, 0, above, below))
+        return cast(Tensor, self.depthwise(y, pad_rows=False))
 
     def _project(self, hidden: Tensor, x: Tensor) -> Tensor:
         return cast(Tensor, self.project(hidden, x if self.skip else None))

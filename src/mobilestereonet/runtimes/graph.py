@@ -6,17 +6,17 @@ Every engine and exporter takes it. Disparities lie along the batch axis, so it 
 from __future__ import annotations
 
 import copy
-from typing import cast
+from collections.abc import Iterator
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.nets.config import REDUCED_CHANNELS
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.runtimes.optimise import fold_norms
+from mobilestereonet.runtimes.planewise import PlanewiseLearnedVolume
 from mobilestereonet.runtimes.slices import slice_layers
 
 
@@ -63,6 +63,7 @@ class Graph(nn.Module):
         self.aggregation = nn.Sequential(net.pre_hourglass, *net.hourglasses, net.heads[-1])
         if self.dims == 3 and sliced:
             slice_layers(self.aggregation)
+        self.requires_grad_(False).to(next(net.parameters()).dtype)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity of the left view.
@@ -79,7 +80,7 @@ class Graph(nn.Module):
         if self.rgb:
             views = normalise(views)
         left, right = self.reduction(self.features(views)).split(1)
-        blocks = self.volume(left, right)
+        blocks = list(self.volume(left, right))
         if self.dims == 3 and self.sliced:
             scores = self.aggregation(torch.cat(blocks)).unsqueeze(0)
         else:
@@ -94,42 +95,22 @@ _BLOCK = 4
 """Disparities that go through the cost volume together; divides the number of every network."""
 
 
-class BlockwiseLearnedVolume(nn.Module):
+class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
     """`LearnedVolume` without batch norms, in 2D convolutions, a few planes at a time.
 
-    Kernels are as deep as their strides, so that a 3D convolution is a 2D convolution in groups,
-    one per step along the depth. A block has the columns from its first plane's first on, so that
-    only a small corner, where its planes begin one after the other, needs a mask.
+    A block has the columns from its first plane's first on, so that only a small corner, where
+    its planes begin one after the other, needs a mask.
     """
 
     def __init__(self, volume: LearnedVolume) -> None:
-        super().__init__()
-        self.planes = volume.planes
-        first, second, third = (cast(nn.Conv3d, conv) for conv in volume.conv)
-        depth = 2 * REDUCED_CHANNELS // first.kernel_size[0]
-        # The groups of the first convolution mix both views: a block-diagonal kernel instead.
-        kernel = torch.block_diag(*[first.weight.flatten(1)] * depth)
-        kernel = kernel.unflatten(1, (2 * REDUCED_CHANNELS, 3, 3))
-        if volume.interlaced:
-            ours, theirs = kernel[:, 0::2], kernel[:, 1::2]
-        else:
-            ours, theirs = kernel.split(REDUCED_CHANNELS, dim=1)
-        bias = cast(Tensor, first.bias).repeat(depth)
-        self.left = _conv2d(ours, bias, padding=(1, 1))
-        self.right = _conv2d(theirs, padding=(1, 1))
-        # Beyond a crop lie zeros: its outer columns see kernels without their outer columns.
-        self.left_first = _conv2d(ours[..., 1:], bias, padding=(1, 0))
-        self.right_last = _conv2d(theirs[..., :-1], padding=(1, 0))
-        self.second = _steps(second, depth // second.kernel_size[0])
-        self.third = _steps(third, 1)
-        self.squeeze = volume.squeeze
+        super().__init__(volume)
         self.starts: Tensor
         self.corner: Tensor
         self.register_buffer("starts", torch.eye(_BLOCK)[:, None, None])
         self.register_buffer("corner", torch.triu(torch.ones(_BLOCK, _BLOCK))[:, None, None])
 
-    def forward(self, left: Tensor, right: Tensor) -> list[Tensor]:
-        """(1, 32, H, W) twice -> blocks (4, 1, H, W) of D planes."""
+    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """(1, 32, H, W) twice -> D / 4 blocks of planes (4, 1, H, W)."""
         count = self.planes
         ours, theirs = self.left(left), self.right(right)
         first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
@@ -138,49 +119,20 @@ class BlockwiseLearnedVolume(nn.Module):
         theirs_corner = torch.cat(
             [theirs_corner[..., _BLOCK - 1 - i : 2 * _BLOCK - 1 - i] for i in range(_BLOCK)]
         )
-        blocks = []
         for a in range(0, count, _BLOCK):
             b = a + _BLOCK
             starts = torch.where(self.starts > 0, first[..., a:b], ours[..., a:b])
             inner = torch.cat([theirs[..., b - i : -1 - i] for i in range(a, b)])
             end = torch.cat([last[..., count - 1 - i : count - i] for i in range(a, b)])
-            x = torch.cat(
-                (
-                    (starts + theirs_corner) * self.corner,
-                    ours[..., b:-1] + inner,
-                    ours[..., -1:] + end,
-                ),
-                dim=-1,
-            )
-            x = self._masked(F.relu(self.second(F.relu(x))))
-            x = self._masked(self.squeeze(self._masked(F.relu(self.third(x)))))
-            blocks.append(F.pad(x, (a, 0)))
-        return blocks
+            corner = (starts + theirs_corner) * self.corner
+            columns = (corner, ours[..., b:-1] + inner, ours[..., -1:] + end)
+            x = F.relu(torch.cat(columns, dim=-1))
+            for layer in (self.second, self.third, self.squeeze):
+                x = self._masked(layer(x))
+            yield F.pad(x, (a, 0))
 
     def _masked(self, x: Tensor) -> Tensor:
         return torch.cat((x[..., :_BLOCK] * self.corner, x[..., _BLOCK:]), dim=-1)
-
-
-def _conv2d(
-    weight: Tensor, bias: Tensor | None = None, *, padding: tuple[int, int], groups: int = 1
-) -> nn.Conv2d:
-    conv = nn.Conv2d(
-        weight.shape[1] * groups,
-        len(weight),
-        cast(tuple[int, int], tuple(weight.shape[2:])),
-        padding=padding,
-        groups=groups,
-        bias=bias is not None,
-        dtype=weight.dtype,
-    )
-    conv.load_state_dict({"weight": weight} | ({} if bias is None else {"bias": bias}))
-    return conv.requires_grad_(False)
-
-
-def _steps(conv: nn.Conv3d, steps: int) -> nn.Conv2d:
-    """A 3D convolution whose stride is its depth, on channels ordered by depth."""
-    weight = conv.weight.transpose(1, 2).flatten(1, 2).repeat(steps, 1, 1, 1)
-    return _conv2d(weight, cast(Tensor, conv.bias).repeat(steps), padding=(1, 1), groups=steps)
 
 
 class BlockwiseCorrelation(nn.Module):
@@ -189,17 +141,15 @@ class BlockwiseCorrelation(nn.Module):
     def __init__(self, volume: Correlation, channels: int) -> None:
         super().__init__()
         self.planes = volume.planes
-        weight = torch.full(
-            (volume.groups, channels // volume.groups, 1, 1), volume.groups / channels
-        )
-        self.mean = _conv2d(weight, padding=(0, 0), groups=volume.groups)
+        # A convolution and no mean over a reshaped tensor, which would need to know its size.
+        self.mean = nn.Conv2d(channels, volume.groups, 1, groups=volume.groups, bias=False)
+        nn.init.constant_(self.mean.weight, volume.groups / channels)
 
-    def forward(self, left: Tensor, right: Tensor) -> list[Tensor]:
+    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
         """(1, C, H, W) twice -> D planes (1, groups, H, W)."""
-        planes = [self.mean(left * right)]
+        yield self.mean(left * right)
         for i in range(1, self.planes):
-            planes.append(F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0)))
-        return planes
+            yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))
 
 
 def soft_argmax_by_powers(scores: Tensor) -> Tensor:

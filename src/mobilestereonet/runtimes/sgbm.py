@@ -23,6 +23,7 @@ class StereoSGBM:
     """
 
     name = "sgbm"
+    precision = "int16"
     normalised = False
     multiple = 1
 

@@ -89,7 +89,7 @@ class TorchRuntime:
         Raises:
             InputError: If the shapes do not fit.
         """
-        with torch.inference_mode(), _threads(self.threads):
+        with torch.inference_mode(), use_threads(self.threads):
             return cast(Tensor, self.net(*self._views(left, right))).to(left.device)
 
     def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
@@ -106,7 +106,7 @@ class TorchRuntime:
         Raises:
             InputError: If the shapes do not fit.
         """
-        with torch.inference_mode(), _threads(self.threads):
+        with torch.inference_mode(), use_threads(self.threads):
             scores = self.net.scores(*self._views(left, right))[-1]
             maps = regress_disparity(scores), match_confidence(scores)
             return maps[0].to(left.device), maps[1].to(left.device)
@@ -143,7 +143,8 @@ def _keep_freed_memory() -> None:
 
 
 @contextmanager
-def _threads(count: int | None) -> Iterator[None]:
+def use_threads(count: int | None) -> Iterator[None]:
+    """PyTorch on so many threads for a while; None leaves its setting."""
     before = torch.get_num_threads()
     torch.set_num_threads(count or before)
     try:

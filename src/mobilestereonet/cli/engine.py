@@ -1,0 +1,43 @@
+"""The engine as options of a command."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+import typer
+
+Runtime: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        help="Engine: auto (the fastest that is installed), torch, onnxruntime, openvino."
+    ),
+]
+Precision: TypeAlias = Annotated[
+    str, typer.Option(help="auto (bf16 where the processor has it), fp32, bf16, or fp16 on a GPU.")
+]
+Threads: TypeAlias = Annotated[
+    int | None, typer.Option(help="Threads on a CPU. Default: the engine's choice.")
+]
+Device: TypeAlias = Annotated[
+    str, typer.Option(help="auto (a GPU if PyTorch finds one), cpu, cuda, cuda:1 ...")
+]
+
+
+def engine_options(
+    model: str | None, runtime: str, precision: str, threads: int | None, device: str
+) -> dict[str, Any]:
+    """What `StereoMatcher.from_pretrained` takes of these options for a model.
+
+    Raises:
+        InputError: If the model is sgbm, which has an engine of its own, and one is chosen.
+    """
+    from mobilestereonet.errors import InputError
+
+    options = {"runtime": runtime, "precision": precision, "threads": threads, "device": device}
+    if model != "sgbm":
+        return options
+    defaults = ("auto", "fp32", None)  # of one command or the other
+    chosen = [f"--{name}" for name, value in options.items() if value not in defaults]
+    if chosen:
+        raise InputError(f"sgbm runs in OpenCV alone: leave {', '.join(chosen)} out")
+    return {}

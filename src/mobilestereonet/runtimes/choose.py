@@ -1,0 +1,93 @@
+"""Which engine runs a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import StereoNet
+from mobilestereonet.runtimes.base import ConfidentRuntime
+from mobilestereonet.runtimes.converted import ConvertedRuntime
+from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
+from mobilestereonet.runtimes.openvino import OpenVINORuntime
+from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
+
+AUTO = "auto"
+
+_CONVERTED: dict[str, type[ConvertedRuntime]] = {
+    runtime.name: runtime for runtime in (ONNXRuntime, OpenVINORuntime)
+}
+
+RUNTIMES = (AUTO, TorchRuntime.name, *_CONVERTED)
+"""Names that `open_runtime` takes."""
+
+
+def open_runtime(
+    name: str,
+    net: StereoNet,
+    *,
+    precision: str = AUTO,
+    threads: int | None = None,
+    device: str = AUTO,
+    cache: str | Path | None = None,
+) -> ConfidentRuntime:
+    """Make a network ready in an engine.
+
+    Args:
+        name: One of `RUNTIMES`. "auto" is PyTorch on a GPU; on a CPU OpenVINO where it is
+            installed, else PyTorch.
+        net: The network, with any weights.
+        precision: "fp32", "bf16" (not in ONNX Runtime), "fp16" (PyTorch on a GPU), or "auto":
+            bf16 where the engine has it, and the processor or GPU instructions for it, else fp32.
+        threads: Threads on a CPU; None leaves it to the engine.
+        device: A device of PyTorch such as "cpu" or "cuda:0", or "auto": a GPU if there is one
+            and the engine may be PyTorch. The other engines run on the CPU.
+        cache: See `ConvertedRuntime`.
+
+    Raises:
+        InputError: If a name or value is unknown, the engine is not installed, or it does not
+            have the precision or the device.
+    """
+    if name not in RUNTIMES:
+        raise InputError(f"unknown runtime {name!r}: there are {', '.join(RUNTIMES)}")
+    device = _check_device(name, device)
+    if name == AUTO:
+        name = _fastest(device)
+    if name == TorchRuntime.name:
+        if precision == AUTO:
+            precision = "bf16" if _has_bfloat16(device) else "fp32"
+        return TorchRuntime(net, device=device, precision=precision, threads=threads)
+    engine = _CONVERTED[name]
+    if precision == AUTO:
+        precision = "bf16" if "bf16" in engine.precisions and has_bfloat16() else "fp32"
+    return engine(net, precision=precision, threads=threads, cache=cache)
+
+
+def _check_device(name: str, device: str) -> str:
+    if device == AUTO:
+        may_be_torch = name in (AUTO, TorchRuntime.name)
+        return "cuda" if may_be_torch and torch.cuda.is_available() else "cpu"
+    try:
+        kind = torch.device(device).type
+    except RuntimeError:
+        raise InputError(f"unknown device {device!r}: cpu, cuda and cuda:0 are such") from None
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"device {device!r}: PyTorch finds no GPU here: use cpu")
+    if name in _CONVERTED and kind != "cpu":
+        raise InputError(f"{name} runs on the cpu, not on {device!r}: use runtime torch there")
+    return device
+
+
+def _fastest(device: str) -> str:
+    """The engine of "auto"; its docstring in `open_runtime` says which."""
+    if torch.device(device).type == "cpu" and OpenVINORuntime.installed():
+        return OpenVINORuntime.name
+    return TorchRuntime.name
+
+
+def _has_bfloat16(device: str) -> bool:
+    if torch.device(device).type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    return has_bfloat16()

@@ -1,0 +1,188 @@
+"""Engines of converted networks: PyTorch's result, at any size, from a cache the second time."""
+
+import threading
+
+import pytest
+import torch
+from torch import nn
+
+from mobilestereonet import InputError, create_model
+from mobilestereonet.runtimes.base import ConfidentRuntime
+from mobilestereonet.runtimes.choose import RUNTIMES, open_runtime
+from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
+from mobilestereonet.runtimes.openvino import OpenVINORuntime
+from mobilestereonet.runtimes.torch import TorchRuntime
+
+SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
+ENGINES = [
+    pytest.param(
+        engine,
+        id=engine.name,
+        marks=pytest.mark.skipif(not engine.installed(), reason="not installed"),
+    )
+    for engine in (ONNXRuntime, OpenVINORuntime)
+]
+
+
+def small(name="msnet2d"):
+    torch.manual_seed(0)
+    net = create_model(name, **SMALL).eval()
+    net.zero_residuals()  # fresh weights would amplify rounding
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+                module.bias.normal_(0, 0.1)
+                module.running_mean.normal_(0, 0.1)
+                module.running_var.uniform_(0.5, 1.5)
+    return net
+
+
+def views(height, width, batch=1):
+    return torch.randn(2, batch, 3, height, width)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_every_size_gives_what_the_network_gives(engine, name, cache):
+    net = small(name)
+    runtime = engine(net, threads=1, cache=cache)
+    assert isinstance(runtime, ConfidentRuntime)
+    # The last one is narrower than the converted graph takes.
+    for batch, height, width in ((1, 32, 64), (2, 48, 112), (1, 16, 32)):
+        left, right = views(height, width, batch)
+        with torch.no_grad():
+            expected = net(left, right)
+        found = runtime(left, right)
+        assert found.dtype == torch.float32
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_confidence_is_that_of_the_torch_engine(engine, cache):
+    net = small()
+    left, right = views(32, 64)
+    expected = TorchRuntime(net).with_confidence(left, right)
+    found = engine(net, cache=cache).with_confidence(left, right)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_conversions_are_kept_and_made_again_when_one_is_damaged_or_not_to_be_had(
+    engine, tmp_path, monkeypatch
+):
+    net, pair = small(), views(32, 64)
+    expected = engine(net, cache=tmp_path)(*pair)
+    (cached,) = tmp_path.iterdir()
+    whole = cached.read_bytes()
+    conversions = []
+
+    def convert(self, net):
+        conversions.append(net)
+        return whole
+
+    monkeypatch.setattr(engine, "_convert", convert)
+
+    def check(count, folder=tmp_path):
+        torch.testing.assert_close(engine(net, cache=folder)(*pair), expected)
+        assert len(conversions) == count
+
+    check(0)
+    cached.write_bytes(whole[: len(whole) // 2])
+    check(1)
+    assert cached.read_bytes() == whole
+    check(1)
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    check(2, blocked / "cache")
+    # Other weights, another file.
+    with torch.no_grad():
+        next(net.parameters()).mul_(2)
+    engine(net, cache=tmp_path)
+    assert len(conversions) == 3
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_threads_may_share_an_engine(engine, cache):
+    runtime = engine(small(), cache=cache)
+    pairs = [views(32, 64) for _ in range(4)]
+    expected = [runtime(*pair) for pair in pairs]
+    found = {}
+
+    def match(index):
+        for _ in range(5):
+            found[index] = runtime(*pairs[index])
+
+    workers = [threading.Thread(target=match, args=(index,)) for index in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    for index in range(4):
+        torch.testing.assert_close(found[index], expected[index])
+
+
+@pytest.mark.skipif(not OpenVINORuntime.installed(), reason="not installed")
+def test_openvino_computes_in_the_precision_that_is_asked_for(cache):
+    net = small()
+    left, right = views(32, 64)
+    full, half = (
+        OpenVINORuntime(net, precision=precision, cache=cache)(left, right)
+        for precision in ("fp32", "bf16")
+    )
+    assert (full - half).abs().mean() < 1
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_bad_options_are_named(engine, cache):
+    with pytest.raises(InputError, match=f"{engine.name} computes in .*, not in 'int4'"):
+        engine(small(), precision="int4", cache=cache)
+    with pytest.raises(InputError, match="threads must be at least 1, got 0"):
+        engine(small(), threads=0, cache=cache)
+    left, right = views(20, 64)
+    with pytest.raises(InputError, match="multiples of 16, got 20 x 64"):
+        engine(small(), cache=cache)(left, right)
+
+
+def test_a_missing_engine_says_how_to_install_it(monkeypatch):
+    monkeypatch.setattr(ONNXRuntime, "installed", classmethod(lambda _: False))
+    with pytest.raises(InputError, match=r'onnxruntime is not installed: pip install ".*\[onnx\]"'):
+        open_runtime("onnxruntime", small())
+
+
+def test_auto_is_openvino_on_a_cpu_where_it_is_installed(monkeypatch, cache):
+    net = small()
+    for installed, expected in ((False, "torch"), (True, "openvino")):
+        if installed and not OpenVINORuntime.installed():
+            pytest.skip("openvino is not installed")
+        with monkeypatch.context() as context:
+            context.setattr(OpenVINORuntime, "installed", classmethod(lambda _, is_=installed: is_))
+            engine = open_runtime("auto", net, device="cpu", threads=1, cache=cache)
+        assert engine.name == expected
+        assert engine.threads == 1
+
+
+@pytest.mark.parametrize("has", [False, True])
+def test_auto_precision_is_bf16_where_the_processor_has_it(has, monkeypatch):
+    monkeypatch.setattr("mobilestereonet.runtimes.choose.has_bfloat16", lambda: has)
+    assert open_runtime("torch", small(), device="cpu").precision == ("bf16" if has else "fp32")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "tpu"}, f"unknown runtime 'tpu': there are {', '.join(RUNTIMES)}"),
+        ({"name": "torch", "device": "toaster"}, "unknown device 'toaster'"),
+        ({"name": "torch", "precision": "fp16", "device": "cpu"}, "precision must be one of"),
+        ({"name": "torch", "device": "cuda:0"}, "PyTorch finds no GPU here: use cpu"),
+        ({"name": "onnxruntime", "device": "meta"}, "onnxruntime runs on the cpu"),
+    ],
+)
+def test_a_choice_that_cannot_be_had_is_refused(options, message, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match=message):
+        open_runtime(net=small(), **options)
