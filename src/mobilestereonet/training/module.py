@@ -28,7 +28,10 @@ from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.depthwise import speed_up_depthwise
 from mobilestereonet.training.losses import cross_entropy_sum, smooth_l1_sum, trained_pixels
+from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.recipe import Recipe
+
+_OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
 
 class StereoModule(L.LightningModule):
@@ -133,8 +136,8 @@ class StereoModule(L.LightningModule):
         self.log_dict(scores.figures("val/"), rank_zero_only=True)
 
     def configure_optimizers(self) -> Any:
-        """Adam as in the paper, its learning rate by the recipe's schedule at every step."""
-        optimizer = torch.optim.Adam(self.net.parameters(), lr=self.lr, betas=(0.9, 0.999))
+        """The recipe's optimizer, its learning rate by the recipe's schedule at every step."""
+        optimizer = _OPTIMIZERS[self.recipe.optimizer](self.net.parameters(), lr=self.lr)
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: self.recipe.lr_factor(step / self.steps)
         )
@@ -149,7 +152,7 @@ class StereoModule(L.LightningModule):
         gradient_clip_val: float | None = None,
         gradient_clip_algorithm: str | None = None,
     ) -> None:
-        """Clip the gradient, or drop it: Adam leaves parameters without a gradient alone."""
+        """Clip the gradient, or drop it: optimizers leave parameters without a gradient alone."""
         clip = self.recipe.clip or math.inf
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), clip)
         self.log("train/gradient_norm", norm)

@@ -35,7 +35,9 @@ class Recipe:
         batch_size: Pairs per device and step.
         epochs: Length of the run in passes over the data; None where ``steps`` says it.
         steps: Length of the run in steps; None where ``epochs`` says it.
-        lr: Learning rate of Adam at a global batch (all devices) of ``lr_batch`` pairs. It grows
+        optimizer: "adam", as in the paper, or "muon" (see `training.muon`), which learns more from
+            as many steps.
+        lr: Learning rate at a global batch (all devices) of ``lr_batch`` pairs. It grows
             in proportion to the global batch.
         lr_batch: The global batch that ``lr`` is meant for (the paper's: 8 in 2D, 4 in 3D).
         schedule: Points (share of the run, factor of the learning rate), joined by lines; two
@@ -64,6 +66,7 @@ class Recipe:
     batch_size: int = 8
     epochs: int | None = None
     steps: int | None = None
+    optimizer: str = "adam"
     lr: float = 1e-3
     lr_batch: int = 8
     schedule: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 1.0))
@@ -88,6 +91,8 @@ class Recipe:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
+        if self.optimizer not in ("adam", "muon"):
+            raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
         if not 0 <= self.seed < 1 << 32:
@@ -162,6 +167,7 @@ RECIPES: dict[str, Recipe] = {
             patch_probability=0.2,
         ),
         steps=60_000,
+        optimizer="muon",
         schedule=((0.0, 0.01), (0.02, 1.0), (0.5, 1.0), (1.0, 0.01)),
         clip=1.0,
         ema=0.999,

@@ -1,0 +1,73 @@
+"""Captures, tried on files that OpenCV opens as one."""
+
+import numpy as np
+import pytest
+from noise_pairs import make_pair
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams import captures, open_stream
+from mobilestereonet.streams.stream import make_frame
+
+
+def joined(count):
+    return [np.concatenate(make_pair(10 + index, index), axis=1) for index in range(count)]
+
+
+def test_a_side_by_side_capture_is_split(write_capture):
+    colours = np.array([[[200, 40, 20 * index], [30, 90, 220]] for index in range(4)], np.uint8)
+    pictures = [np.tile(pair.repeat(160, axis=0), (48, 1, 1)) for pair in colours]
+    path = write_capture("camera.avi", pictures)
+    stream = open_stream(f"file://{path}")
+    assert (stream.total, stream.live) == (None, False)
+    frames = list(stream.frames)
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3])
+    for frame, colour in zip(frames, colours, strict=True):
+        for view, expected in zip(frame.views, colour, strict=True):
+            assert view.shape == (3, 48, 160)
+            middle = 255 * view[:, 10:-10, 10:-10].mean(dim=(1, 2)).numpy()
+            assert middle == pytest.approx(expected, abs=5)
+
+
+def test_two_captures_end_with_the_shorter_one(write_capture):
+    left, right = zip(*(make_pair(12, seed) for seed in range(3)), strict=True)
+    first, second = write_capture("l.avi", left), write_capture("r.avi", right[:2])
+    frames = list(open_stream(f"file://{first}", f"file://{second}").frames)
+    assert len(frames) == 2
+    assert frames[0].views[1].shape == (3, 48, 160)
+
+
+def test_a_picture_that_cannot_be_decoded_is_told(write_capture, monkeypatch):
+    path = write_capture("camera.avi", joined(3))
+
+    class Flawed:
+        """OpenCV's capture, but its second picture is damaged."""
+
+        def __init__(self, source):
+            self.capture, self.taken = opened(source), 0
+
+        def __getattr__(self, name):
+            return getattr(self.capture, name)
+
+        def retrieve(self):
+            self.taken += 1
+            return (False, None) if self.taken == 2 else self.capture.retrieve()
+
+    opened = captures.cv2.VideoCapture
+    monkeypatch.setattr(captures.cv2, "VideoCapture", Flawed)
+    frames = list(open_stream(f"file://{path}").frames)
+    assert [frame.views is None for frame in frames] == [False, True, False]
+    assert "damaged" in frames[1].problem
+
+
+def test_bad_captures_are_errors(tmp_path, write_capture):
+    wide, narrow = (write_capture(f"{n}.avi", [np.zeros((48, n, 3), np.uint8)]) for n in (160, 96))
+    with pytest.raises(InputError, match=r"left view has 160x48, right view has 96x48"):
+        list(open_stream(f"file://{wide}", f"file://{narrow}").frames)
+    with pytest.raises(InputError, match="161 px wide"):
+        make_frame(0, 0, [np.zeros((48, 161, 3), np.uint8)])
+    (tmp_path / "text.avi").write_text("no video")
+    with pytest.raises(InputError, match=r"text.avi: OpenCV cannot open"):
+        open_stream(f"file://{tmp_path}/text.avi")
+    with pytest.raises(InputError, match="only one of them"):
+        open_stream("0", str(wide))

@@ -1,0 +1,99 @@
+"""Pairs on a local Ray cluster, one of whose two workers is killed."""
+
+import os
+import signal
+import sys
+from functools import partial
+
+import cv2
+import noise_pairs
+import numpy as np
+import pytest
+from noise_pairs import centre, make_pair
+
+from mobilestereonet import StereoMatcher
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray
+
+COUNT = 24
+
+
+class DyingMatcher(StereoMatcher):
+    """Notes each pair that it matches; the process that comes to ``deadly`` first is killed."""
+
+    def __call__(self, left, right=None):
+        result = super().__call__(left, right)
+        disparity = round(float(np.median(centre(result.disparity))))
+        with (self.folder / "matched.txt").open("a") as file:
+            file.write(f"{disparity} {os.getpid()}\n")
+        killed = self.folder / "killed"
+        if disparity == self.deadly and not killed.exists():
+            killed.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return result
+
+
+def make_matcher(folder, deadly):
+    matcher = DyingMatcher.from_pretrained("sgbm", max_disparity=64)
+    matcher.folder, matcher.deadly = folder, deadly
+    return matcher
+
+
+def notes(folder):
+    return [line.split() for line in (folder / "matched.txt").read_text().splitlines()]
+
+
+def test_a_killed_worker_loses_nothing_and_what_is_finished_stays(tmp_path):
+    pytest.importorskip("ray.data")
+    from ray import cloudpickle
+
+    # The workers cannot import what only tests have.
+    for module in (sys.modules[__name__], noise_pairs):
+        cloudpickle.register_pickle_by_value(module)
+    for index in range(COUNT):
+        for side, view in zip(("left", "right"), make_pair(index + 1, index), strict=True):
+            (tmp_path / side).mkdir(exist_ok=True)
+            assert cv2.imwrite(str(tmp_path / side / f"{index:02d}.png"), view)
+    pairs = find_pairs(tmp_path / "left", tmp_path / "right")
+    files = MapFiles(tmp_path / "maps", ("disparity.png", "picture.png"))
+    make = partial(make_matcher, tmp_path, 14)
+
+    outcomes = list(match_on_ray(pairs, files, make))
+    assert sorted(outcome.name for outcome in outcomes) == [pair.name for pair in pairs]
+    assert not any(outcome.problem for outcome in outcomes)
+    assert (tmp_path / "killed").exists()
+    # No file is missing, half-written or left over, and each is of its own pair.
+    names = {f"{i:02d}_{kind}" for i in range(COUNT) for kind in files.kinds}
+    assert {path.name for path in files.folder.iterdir()} == names
+    for index in range(COUNT):
+        stored = cv2.imread(str(files.path(f"{index:02d}", "disparity.png")), -1) / 256
+        assert np.median(centre(stored)) == pytest.approx(index + 1, abs=0.1)
+        assert cv2.imread(str(files.path(f"{index:02d}", "picture.png"))) is not None
+    # The dead worker's pairs were matched by another process, and only those that were on their
+    # way then, in memory, a second time.
+    matched = notes(tmp_path)
+    assert len({process for _, process in matched}) == 3
+    assert COUNT < len(matched) <= COUNT + 4
+
+    # After a restart, what is finished is not matched again.
+    for index in (3, 20):
+        files.path(f"{index:02d}", "picture.png").unlink()
+    again = list(match_on_ray(pairs, files, make))
+    assert sorted(outcome.name for outcome in again) == ["03", "20"]
+    assert sorted(int(disparity) for disparity, _ in notes(tmp_path)[len(matched) :]) == [4, 21]
+    assert list(match_on_ray(pairs, files, make)) == []
+
+
+def test_what_a_worker_fails_of_is_one_line(tmp_path, sequence):
+    pytest.importorskip("ray.data")
+    pairs = find_pairs(sequence / "left", sequence / "right")
+    make = partial(StereoMatcher.from_pretrained, "raft")
+    with pytest.raises(InputError, match=r"^a worker failed: .*unknown model 'raft'.*$"):
+        list(match_on_ray(pairs, MapFiles(tmp_path / "maps"), make))
+
+
+def test_a_cluster_that_is_not_there(tmp_path, sequence):
+    pytest.importorskip("ray.data")
+    pairs = find_pairs(sequence / "left", sequence / "right")
+    with pytest.raises(InputError, match="no Ray cluster at 'auto'"):
+        list(match_on_ray(pairs, MapFiles(tmp_path / "maps"), lambda: None, address="auto"))

@@ -1,0 +1,131 @@
+"""A stream in, a video and maps out."""
+
+import threading
+
+import cv2
+import numpy as np
+import pytest
+from noise_pairs import centre
+
+from mobilestereonet import StereoResult
+from mobilestereonet.data import Calibration
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams import MapFiles, match_video, open_stream
+from mobilestereonet.streams.video import SteadyRange
+
+
+def flat(disparity):
+    shape = (4, 5)
+    return StereoResult(
+        left=np.zeros((*shape, 3), np.uint8),
+        disparity=np.full(shape, disparity, np.float32),
+        valid=np.ones(shape, bool),
+    )
+
+
+def opened(sequence):
+    return open_stream(str(sequence / "left"), str(sequence / "right"))
+
+
+def test_the_range_of_colours_follows_slowly():
+    colours = SteadyRange(memory=2.0)
+    assert colours.update(0, flat(40)) == 40
+    # After two seconds (one memory) of 80, a share of 1 - 1/e of the way is gone.
+    values = [colours.update(0.1 * step, flat(80)) for step in range(1, 21)]
+    assert values[0] < 43
+    assert values[-1] == pytest.approx(40 + 40 * (1 - np.exp(-1)), rel=1e-4)
+    unknown = StereoResult(flat(0).left, flat(9).disparity, np.zeros((4, 5), bool))
+    assert colours.update(3, unknown) == values[-1]
+
+
+def test_each_frame_gets_its_own_map(sequence, matcher, tmp_path):
+    maps = MapFiles(tmp_path / "maps", ("disparity.png", "depth.png"))
+    calibration = Calibration(focal=100, baseline=0.2)
+    reported = []
+    tally = match_video(
+        opened(sequence), matcher, frames=maps, calibration=calibration, report=reported.append
+    )
+    assert (tally.matched, tally.broken, tally.passed_over) == (11, 0, 0)
+    assert [frame.name for frame in reported] == [f"view_{index}" for index in range(11)]
+    for index in range(11):
+        stored = cv2.imread(str(maps.path(f"view_{index}", "disparity.png")), -1) / 256
+        assert np.median(centre(stored)) == pytest.approx(10 + index, abs=0.1)
+        depth = cv2.imread(str(maps.path(f"view_{index}", "depth.png")), -1)
+        assert np.median(centre(depth)) == pytest.approx(20_000 / (10 + index), rel=0.02)
+
+
+def test_a_broken_frame_is_reported_and_skipped(sequence, matcher, tmp_path):
+    (sequence / "right" / "view_4.png").write_bytes(b"broken")
+    maps, reported = MapFiles(tmp_path / "maps"), []
+    tally = match_video(opened(sequence), matcher, frames=maps, report=reported.append)
+    assert (tally.matched, tally.broken, tally.passed_over) == (10, 1, 0)
+    assert [frame.name for frame in reported if frame.problem] == ["view_4"]
+    assert len(list(maps.folder.iterdir())) == 10
+    assert not maps.finished("view_4")
+
+
+def test_a_stopped_sequence_goes_on_where_it_was(sequence, matcher, tmp_path):
+    maps, stop = MapFiles(tmp_path / "maps"), threading.Event()
+
+    def stop_after_four(frame):
+        if frame.index == 3:
+            stop.set()
+
+    tally = match_video(opened(sequence), matcher, frames=maps, stop=stop, report=stop_after_four)
+    assert tally.matched == 4
+    before = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
+    matcher.count = 0
+    assert match_video(opened(sequence), matcher, frames=maps, resume=True).matched == 11
+    assert matcher.count == 7
+    assert len(list(maps.folder.iterdir())) == 11
+    with pytest.raises(InputError, match="to resume"):
+        match_video(opened(sequence), matcher, resume=True)
+    assert len(before) == 4
+
+
+def test_maps_of_another_stream_are_not_taken_for_this_ones(sequence, matcher, tmp_path):
+    maps = MapFiles(tmp_path / "maps")
+    maps.save("view_0", flat(3), None)
+    with pytest.raises(InputError, match=r"view_0_disparity.png: shape is \(4, 5\)"):
+        match_video(opened(sequence), matcher, frames=maps, resume=True)
+
+
+def test_nothing_is_made_of_a_stream_that_gives_nothing(sequence, matcher, tmp_path):
+    for path in (sequence / "left").iterdir():
+        path.write_bytes(b"broken")
+    with pytest.raises(InputError, match=r"no frame could be matched: .*view_10.png: not an image"):
+        match_video(
+            opened(sequence),
+            matcher,
+            video=tmp_path / "new" / "v.mp4",
+            frames=MapFiles(tmp_path / "maps"),
+        )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["left", "right"]
+
+
+def test_the_video_shows_the_frames_in_steady_colours(sequence, matcher, tmp_path):
+    pytest.importorskip("av")
+    from mobilestereonet.streams.video_files import VideoFile
+
+    for side in ("left", "right"):
+        (sequence / side / "view_2.png").unlink()
+        for path in (sequence / side).iterdir():
+            path.rename(path.with_name(f"view_{99 - int(path.stem[5:])}.png"))
+    assert cv2.imwrite(str(sequence / "left" / "view_92.png"), np.zeros((50, 99, 3), np.uint8))
+    assert cv2.imwrite(str(sequence / "right" / "view_92.png"), np.ones((50, 99, 3), np.uint8))
+    video = tmp_path / "colours.mp4"
+    tally = match_video(opened(sequence), matcher, video=video, beside=True)
+    assert (tally.matched, tally.broken) == (9, 1)
+    moments = list(VideoFile(video))
+    # The fourth of the ten that are left has another size; its place in time stays empty.
+    expected = [0, 0.1, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
+    assert [seconds for seconds, _ in moments] == pytest.approx(expected, abs=1e-3)
+    assert moments[0][1].shape == (48, 324, 3)
+    shown = moments[0][1][:, :160].astype(int)
+    left = cv2.imread(str(sequence / "left" / "view_89.png"))[..., ::-1]
+    assert np.abs(shown - left).mean() < 20
+    # The range follows slowly: as the disparity sinks from 20 to 10 px, dark red turns yellow. A
+    # range of each frame's own would keep it red.
+    first, last = (np.median(centre(moments[i][1][:, 164:]), axis=(0, 1)) for i in (0, -1))
+    assert first[1] < 40
+    assert last[1] > 100

@@ -1,0 +1,89 @@
+"""Pairs of folders and patterns."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams.pairs import find_pairs, read_pairs
+
+
+def touch(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+
+
+def test_folders_are_paired_by_name_and_10_comes_after_9(sequence):
+    (sequence / "left" / "notes.txt").touch()
+    pairs = find_pairs(sequence / "left", sequence / "right")
+    assert [pair.name for pair in pairs] == [f"view_{index}" for index in range(11)]
+    for index, pair in enumerate(pairs):
+        assert pair.left == sequence / "left" / f"view_{index}.png"
+        assert pair.right == sequence / "right" / f"view_{index}.png"
+        assert pair.calibration is None
+
+
+def test_patterns_are_paired_by_what_their_wildcards_stand_for(tmp_path, monkeypatch):
+    for run in ("a", "b"):
+        for index in (1, 2):
+            touch(tmp_path / run / f"cam0_{index}.jpg")
+            touch(tmp_path / run / f"cam1_{index}.jpg")
+    monkeypatch.chdir(tmp_path)
+    pairs = find_pairs("*/cam0_*.jpg", "*/cam1_*.jpg")
+    assert [pair.name for pair in pairs] == ["a/cam0_1", "a/cam0_2", "b/cam0_1", "b/cam0_2"]
+    assert pairs[2].right == tmp_path / "b" / "cam1_1.jpg"
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (lambda root: (root / "right/view_3.png").unlink(), FileNotFoundError, "view_3.png"),
+        (lambda root: (root / "left/view_3.png").unlink(), InputError, "10 left .* 11 right"),
+        (lambda root: (root / "left/x.jpg").touch(), InputError, ".jpg and .png; give a pattern"),
+        (lambda root: shutil.rmtree(root / "right"), FileNotFoundError, "right: no such"),
+        (
+            lambda root: [path.unlink() for path in (root / "left").iterdir()],
+            InputError,
+            "left: no image",
+        ),
+    ],
+)
+def test_what_has_no_partner_is_an_error(sequence, change, error, message):
+    change(sequence)
+    with pytest.raises(error, match=message):
+        find_pairs(sequence / "left", sequence / "right")
+
+
+def test_kitti_odometry_with_each_sequences_calibration(tmp_path):
+    for sequence, focal in (("00", 718.0), ("03", 721.0)):
+        for camera in (2, 3):
+            for index in range(2):
+                touch(tmp_path / "sequences" / sequence / f"image_{camera}" / f"{index:06d}.png")
+        rows = {0: 0.0, 1: -386.0, 2: 45.0, 3: -339.0}
+        text = "".join(
+            f"P{camera}: {focal} 0 607 {shift} 0 {focal} 185 0 0 0 1 0\n"
+            for camera, shift in rows.items()
+        )
+        (tmp_path / "sequences" / sequence / "calib.txt").write_text(text)
+    pairs = find_pairs(tmp_path)
+    assert [pair.name for pair in pairs] == ["00/000000", "00/000001", "03/000000", "03/000001"]
+    assert pairs[3].right == tmp_path / "sequences/03/image_3/000001.png"
+    assert pairs[0].calibration.focal == 718
+    assert pairs[2].calibration.baseline == pytest.approx(384 / 721)
+    with pytest.raises(InputError, match="no sequences"):
+        find_pairs(tmp_path / "sequences")
+
+
+def test_what_cannot_be_read_is_told_not_raised(sequence):
+    whole = sequence / "left" / "view_1.png"
+    whole.write_bytes(whole.read_bytes()[:200])
+    assert cv2.imwrite(str(sequence / "right" / "view_2.png"), np.zeros((9, 9, 3), np.uint8))
+    frames = list(read_pairs(find_pairs(sequence / "left", sequence / "right"), fps=4))
+    assert [frame.index for frame in frames] == list(range(11))
+    assert [frame.seconds for frame in frames[:3]] == [0, 0.25, 0.5]
+    assert [frame.views is None for frame in frames] == [False, True, True] + 8 * [False]
+    assert "view_1.png: not an image" in frames[1].problem
+    assert "160x48" in frames[2].problem
+    assert frames[0].views[0].shape == (3, 48, 160)
