@@ -41,7 +41,7 @@ from mobilestereonet.costs import count_costs
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.nets import StereoNet, create_model, model_config
 from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.torch import TorchRuntime
+from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.weights import embedded_models, load_pretrained
 from plain import PlainNet
 
@@ -96,11 +96,9 @@ class Case:
         net = self.net()
         if self.engine == "plain":
             return torch.inference_mode()(PlainNet(net).eval())
-        if self.engine == "torch":
-            return TorchRuntime(net, precision=self.precision, threads=threads)
-        from mobilestereonet.runtimes.choose import open_runtime
-
-        return open_runtime(self.engine, net, precision=self.precision, threads=threads)
+        return open_runtime(
+            self.engine, net, device="cpu", precision=self.precision, threads=threads
+        )
 
 
 def measure(

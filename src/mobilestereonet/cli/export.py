@@ -48,14 +48,12 @@ def export(
         raise InputError("which format? `msnet export --list` shows them")
 
     from mobilestereonet.export import export_model, find_format
-    from mobilestereonet.inference import StereoMatcher
-    from mobilestereonet.weights import load_pretrained, load_weights
+    from mobilestereonet.inference.matcher import pretrained_net
 
     found = find_format(format_)
     precision = precision or found.precisions[0]
     found.check(precision)
-    name = StereoMatcher.from_pretrained(model, weights=weights, runtime="torch").model
-    net = load_weights(weights) if weights else load_pretrained(name)
+    name, net = pretrained_net(model, weights)
     default = name if precision == found.precisions[0] else f"{name}-{precision}"
     written = export_model(
         format_,

@@ -125,14 +125,8 @@ class StereoMatcher:
             if weights is not None:
                 raise InputError(f"{model} has no weights to read from {weights}: leave them out")
             return cls(StereoSGBM(**options), **wanted)
-        if weights is None:
-            model = model or DEFAULT_MODEL
-            net = load_pretrained(model)
-        else:
-            net = load_weights(weights)
-            _check_model(model, net.config, weights)
-        engine = open_runtime(runtime, net, **options)
-        return cls(engine, model=model or _name(net.config), **wanted)
+        name, net = pretrained_net(model, weights)
+        return cls(open_runtime(runtime, net, **options), model=name, **wanted)
 
     @overload
     def __call__(self, left: View, right: View) -> StereoResult: ...
@@ -312,12 +306,30 @@ def _result(
     )
 
 
-def _check_model(model: str | None, config: NetConfig, weights: str | Path) -> None:
+def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, StereoNet]:
+    """A network with trained weights, and what it is called.
+
+    Args:
+        model: Name of a model whose weights come with the package; by default "msnet2d", or what
+            ``weights`` holds.
+        weights: File to read instead: ours, or a checkpoint of the authors.
+
+    Raises:
+        FileNotFoundError: If there is no such weights file.
+        InputError: If the name is unknown, there are no weights for it, or the file is damaged or
+            holds another model than ``model``.
+    """
+    if weights is None:
+        model = model or DEFAULT_MODEL
+        return model, load_pretrained(model)
+    net = load_weights(weights)
+    config = net.config
     # One network may have several names, so configs are compared.
     if model is not None and model_config(model, max_disparity=config.max_disparity) != config:
         raise InputError(
             f"{weights}: holds a {_name(config)} network, not {model}: leave the model out"
         )
+    return model or _name(config), net
 
 
 def _name(config: NetConfig) -> str:

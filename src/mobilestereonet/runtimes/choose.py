@@ -52,7 +52,7 @@ def open_runtime(
     """
     if name not in RUNTIMES:
         raise InputError(f"unknown runtime {name!r}: there are {', '.join(RUNTIMES)}")
-    device = _check_device(name, device)
+    device = check_device(name, device)
     if name == AUTO:
         name = _fastest(device)
     if name == TorchRuntime.name:
@@ -65,7 +65,12 @@ def open_runtime(
     return engine(net, precision=precision, threads=threads, cache=cache)
 
 
-def _check_device(name: str, device: str) -> str:
+def check_device(name: str, device: str) -> str:
+    """The device of PyTorch that "auto" means, or the one given, for an engine of `RUNTIMES`.
+
+    Raises:
+        InputError: If the device is unknown, missing, or none of the engine's.
+    """
     if device == AUTO:
         may_be_torch = name in (AUTO, TorchRuntime.name)
         return "cuda" if may_be_torch and torch.cuda.is_available() else "cpu"

@@ -1,0 +1,60 @@
+"""``msnet bench``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilestereonet.cli.engine import Device, Threads
+
+
+def bench(
+    model: Annotated[
+        str | None, typer.Option(help="Network. Default: msnet2d, or what the weights hold.")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
+    size: Annotated[tuple[int, int], typer.Option(help="Height and width, multiples of 16.")] = (
+        256,
+        512,
+    ),
+    threads: Threads = None,
+    device: Device = "auto",
+    repeats: Annotated[int, typer.Option(min=1, help="Timed runs of each engine.")] = 5,
+) -> None:
+    """Time every installed engine on this machine, against PyTorch unaccelerated in fp32."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from mobilestereonet.export import real_pair
+    from mobilestereonet.export.metadata import check_size
+    from mobilestereonet.inference.matcher import pretrained_net
+    from mobilestereonet.nets.normalise import normalise
+    from mobilestereonet.runtimes.choose import check_device, open_runtime
+    from mobilestereonet.runtimes.compare import compare_engines, installed_engines
+
+    name, net = pretrained_net(model, weights)
+    device = check_device("auto", device)
+    check_size(net, size)
+    left, right = map(normalise, real_pair(size))
+    engines = installed_engines(device)
+    times = compare_engines(
+        net, left, right, engines, device=device, threads=threads, repeats=repeats
+    )
+    table = Table("engine", "precision", title=f"{name}, {size[0]}x{size[1]}, {device}")
+    for column in ("ms", "times faster", "mean difference, px"):
+        table.add_column(column, justify="right")
+    for row in times:
+        table.add_row(
+            row.engine,
+            row.precision,
+            f"{row.seconds * 1000:.0f}",
+            f"{row.ratio:.2f}",
+            f"{row.difference:.5f}",
+        )
+    Console().print(table)
+    chosen = open_runtime("auto", net, device=device, threads=threads)
+    print(f"--runtime auto takes {chosen.name} in {chosen.precision}")

@@ -1,0 +1,105 @@
+"""How fast each engine runs a network on this machine."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.nets import StereoNet
+from mobilestereonet.runtimes.choose import open_runtime
+from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
+from mobilestereonet.runtimes.openvino import OpenVINORuntime
+from mobilestereonet.runtimes.torch import use_threads
+
+
+@dataclass(frozen=True)
+class EngineTime:
+    """One engine in one precision.
+
+    Attributes:
+        engine: Its name; "eager" is the network itself, as PyTorch runs it unaccelerated.
+        precision: What it computes in.
+        seconds: Median time of a pair.
+        ratio: How many times faster it is than "eager" in fp32.
+        difference: Mean difference of its disparity to that of "eager", in px.
+    """
+
+    engine: str
+    precision: str
+    seconds: float
+    ratio: float
+    difference: float
+
+
+def installed_engines(device: str) -> list[tuple[str, str]]:
+    """Engines and precisions that can be had on a device."""
+    if torch.device(device).type != "cpu":
+        return [("torch", precision) for precision in ("fp32", "bf16", "fp16")]
+    engines = [("torch", "fp32"), ("torch", "bf16")]
+    for engine in (ONNXRuntime, OpenVINORuntime):
+        if engine.installed():
+            engines += [(engine.name, precision) for precision in engine.precisions]
+    return engines
+
+
+def compare_engines(
+    net: StereoNet,
+    left: Tensor,
+    right: Tensor,
+    engines: Sequence[tuple[str, str]],
+    *,
+    device: str = "cpu",
+    threads: int | None = None,
+    repeats: int = 5,
+) -> list[EngineTime]:
+    """Time engines in turns, so that whatever else the machine does meets all of them.
+
+    Args:
+        net: The network, in eval mode.
+        left: Left view (1, 3, H, W), normalised; H and W are multiples of 16.
+        right: Right view, likewise.
+        engines: Names and precisions, as `open_runtime` takes them.
+        device: Where PyTorch runs, see `open_runtime`.
+        threads: Threads on a CPU; None leaves it to each engine.
+        repeats: Timed runs of each; one before them is not timed.
+
+    Returns:
+        "eager" in fp32, then the engines in their order.
+    """
+    runs: list[Callable[[], Tensor]] = [_eager(net, left, right, device, threads)]
+    for name, precision in engines:
+        engine = open_runtime(name, net, precision=precision, device=device, threads=threads)
+        runs.append(lambda engine=engine: engine(left, right).cpu())  # type: ignore[misc]
+    disparities = [run() for run in runs]
+    seconds: list[list[float]] = [[] for _ in runs]
+    for _ in range(repeats):
+        for run, times in zip(runs, seconds, strict=True):
+            started = time.perf_counter()
+            run()
+            times.append(time.perf_counter() - started)
+    medians = [statistics.median(times) for times in seconds]
+    return [
+        EngineTime(*name, median, medians[0] / median, float((found - disparities[0]).abs().mean()))
+        for name, median, found in zip(
+            [("eager", "fp32"), *engines], medians, disparities, strict=True
+        )
+    ]
+
+
+def _eager(
+    net: StereoNet, left: Tensor, right: Tensor, device: str, threads: int | None
+) -> Callable[[], Tensor]:
+    net = net.to(device)
+    views = left.to(device), right.to(device)
+
+    def run() -> Tensor:
+        with torch.inference_mode(), use_threads(threads):
+            disparity: Tensor = net(*views)
+        return disparity.cpu()
+
+    return run

@@ -1,0 +1,62 @@
+"""`msnet bench` and what it is made of."""
+
+import sys
+
+import pytest
+import torch
+
+from mobilestereonet import create_model, save_weights
+from mobilestereonet.cli.main import main
+from mobilestereonet.runtimes import compare
+from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
+from mobilestereonet.runtimes.openvino import OpenVINORuntime
+
+SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
+
+
+def small():
+    torch.manual_seed(0)
+    net = create_model("msnet2d", **SMALL).eval()
+    net.zero_residuals()
+    return net
+
+
+def test_engines_are_timed_against_the_plain_network():
+    left, right = torch.randn(2, 1, 3, 32, 64)
+    engines = [("torch", "fp32"), ("torch", "bf16")]
+    plain, *others = compare.compare_engines(small(), left, right, engines, repeats=2)
+    assert (plain.engine, plain.precision) == ("eager", "fp32")
+    assert (plain.ratio, plain.difference) == (1, 0)
+    assert [(row.engine, row.precision) for row in others] == engines
+    for row in others:
+        assert row.seconds > 0
+        assert row.ratio == pytest.approx(plain.seconds / row.seconds)
+    assert others[0].difference < 1e-4 < others[1].difference < 1
+
+
+def test_only_installed_engines_are_named(monkeypatch):
+    monkeypatch.setattr(ONNXRuntime, "installed", classmethod(lambda _: False))
+    monkeypatch.setattr(OpenVINORuntime, "installed", classmethod(lambda _: True))
+    engines = compare.installed_engines("cpu")
+    assert {name for name, _ in engines} == {"torch", "openvino"}
+    assert compare.installed_engines("cuda:0")[-1] == ("torch", "fp16")
+
+
+def test_command(tmp_path, monkeypatch, capsys):
+    weights = tmp_path / "small.safetensors"
+    save_weights(small(), weights)
+    monkeypatch.setattr(compare, "installed_engines", lambda device: [("torch", "fp32")])
+    arguments = ["msnet", "bench", "--weights", str(weights), "--device", "cpu", "--repeats", "1"]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--size", "32", "64"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any("eager" in line and "1.00" in line for line in lines)
+    assert any("torch" in line and "fp32" in line for line in lines)
+    assert lines[-1].startswith("--runtime auto takes ")
+    monkeypatch.setattr(sys, "argv", [*arguments, "--size", "30", "64"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert "height must be a multiple of 16, got 30" in capsys.readouterr().err
