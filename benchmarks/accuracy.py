@@ -60,9 +60,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
 
-    matchers = {name: StereoMatcher.from_pretrained(name) for name in ["sgbm", *embedded_models()]}
+    exact = {"runtime": "torch", "precision": "fp32"}
+    matchers = {"sgbm": StereoMatcher.from_pretrained("sgbm")}
+    for name in embedded_models():
+        matchers[name] = StereoMatcher.from_pretrained(name, **exact)
     for path in arguments.weights:
-        matchers[path.stem] = StereoMatcher.from_pretrained(weights=path)
+        matchers[path.stem] = StereoMatcher.from_pretrained(weights=path, **exact)
     sets = list(real_and_synthetic(arguments.root))
     if arguments.scenes:
         sets.append(("procedural", scenes(arguments.scenes)))

@@ -166,29 +166,57 @@ def test_gradient_of_the_volume_in_training(kind, width):
     assert (gradient * direction).sum().item() == pytest.approx(slope.item(), rel=1e-5, abs=1e-6)
 
 
-def by_definition(scores):
-    """The paper's head: trilinear upsampling, softmax over the disparity, expectation."""
+def by_definition(scores, estimator="mean"):
+    """Trilinear upsampling, softmax over the disparity, expectation."""
     planes, height, width = scores.shape[1:]
     size = (4 * planes, 4 * height, 4 * width)
     fine = F.interpolate(scores[:, None], size=size, mode="trilinear", align_corners=False)[:, 0]
+    probability = fine.softmax(dim=1)
+    if estimator == "mode":
+        probability = probability * likely_bins(probability.detach())
     disparities = torch.arange(4 * planes, dtype=scores.dtype)[:, None, None]
-    return (fine.softmax(dim=1) * disparities).sum(dim=1)
+    return (probability * disparities).sum(dim=1) / probability.sum(dim=1)
 
 
+def likely_bins(probability):
+    """1 in the 12 bins (8 at either end) with the highest probability, if it is 0.3 or more."""
+    bins = probability.shape[1]
+    keep = torch.ones_like(probability)
+    for b, y, x in torch.cartesian_prod(*map(torch.arange, probability[:, 0].shape)).tolist():
+        p = probability[b, :, y, x]
+        windows = [(max(first, 0), min(first + 12, bins)) for first in range(-2, bins - 8, 4)]
+        low, high = max(windows, key=lambda window: p[slice(*window)].sum())
+        if p[low:high].sum() >= 0.3:
+            keep[b, :low, y, x] = keep[b, high:, y, x] = 0
+    return keep
+
+
+@pytest.mark.parametrize("estimator", ["mean", "mode"])
 @pytest.mark.parametrize("scale", [0.1, 3, 300])
-def test_head_equals_upsampling_softmax_and_expectation(scale):
+def test_head_equals_upsampling_softmax_and_expectation(scale, estimator):
     torch.manual_seed(0)
     scores = (scale * torch.randn(2, 8, 5, 9, dtype=torch.float64)).requires_grad_()
     probe = torch.randn(2, 20, 36, dtype=torch.float64)
     results = []
     for head in (regress_disparity, by_definition):
-        disparity = head(scores)
+        disparity = head(scores, estimator)
         results.append((disparity, torch.autograd.grad((disparity * probe).sum(), scores)[0]))
     (disparity, gradient), (expected, expected_gradient) = results
     torch.testing.assert_close(disparity, expected, rtol=0, atol=1e-9)
     torch.testing.assert_close(gradient, expected_gradient, rtol=0, atol=1e-9)
     with torch.no_grad():
-        torch.testing.assert_close(regress_disparity(scores), expected, rtol=0, atol=1e-9)
+        found = regress_disparity(scores, estimator)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+
+
+def test_mode_keeps_to_one_of_two_surfaces_and_to_the_mean_without_a_clue():
+    scores = torch.zeros(1, 48, 1, 2)
+    scores[0, 10, 0, 0] = 30  # 41.5 px
+    scores[0, 30, 0, 0] = 29  # 121.5 px, less likely
+    torn, clueless = soft_argmax(scores, "mode")[0, 0]
+    assert torn == pytest.approx(41.5, abs=0.1)
+    assert clueless == pytest.approx(95.5)
+    assert 50 < soft_argmax(scores)[0, 0, 0] < 80
 
 
 def test_soft_argmax_at_its_limits():

@@ -1,11 +1,16 @@
 """Captures, tried on files that OpenCV opens as one."""
 
+import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+
 import numpy as np
 import pytest
 from noise_pairs import make_pair
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams import captures, open_stream
+from mobilestereonet.streams import MapFiles, captures, match_video, open_stream
 from mobilestereonet.streams.stream import make_frame
 
 
@@ -35,6 +40,30 @@ def test_two_captures_end_with_the_shorter_one(write_capture):
     frames = list(open_stream(f"file://{first}", f"file://{second}").frames)
     assert len(frames) == 2
     assert frames[0].views[1].shape == (3, 48, 160)
+
+
+def test_a_live_capture_does_not_wait(write_capture, monkeypatch, matcher, tmp_path):
+    path = write_capture("camera.avi", joined(40))
+    for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    handler = partial(SimpleHTTPRequestHandler, directory=path.parent)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        stream = open_stream(f"http://127.0.0.1:{server.server_port}/camera.avi")
+        assert stream.live
+        reported = []
+
+        def slowly(frame):
+            reported.append(frame.index)
+            time.sleep(0.05)
+
+        tally = match_video(stream, matcher, frames=MapFiles(tmp_path / "maps"), report=slowly)
+        server.shutdown()
+    assert reported == sorted(set(reported))
+    assert reported[-1] == 39
+    assert tally.matched == len(reported) < 40
+    assert tally.matched + tally.passed_over == 40
+    assert len(list((tmp_path / "maps").iterdir())) == tally.matched
 
 
 def test_a_picture_that_cannot_be_decoded_is_told(write_capture, monkeypatch):

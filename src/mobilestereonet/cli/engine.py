@@ -8,9 +8,7 @@ import typer
 
 Runtime: TypeAlias = Annotated[
     str,
-    typer.Option(
-        help="Engine: auto (the fastest that is installed), torch, onnxruntime, openvino."
-    ),
+    typer.Option(help="Engine: auto (which is torch), torch, onnxruntime, openvino."),
 ]
 Precision: TypeAlias = Annotated[
     str, typer.Option(help="auto (bf16 where the processor has it), fp32, bf16, or fp16 on a GPU.")

@@ -8,6 +8,8 @@ import warnings
 import typer
 
 from mobilestereonet.cli.ablate import ablate
+from mobilestereonet.cli.batch import batch
+from mobilestereonet.cli.bench import bench
 from mobilestereonet.cli.cost import cost
 from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
@@ -20,6 +22,8 @@ from mobilestereonet.cli.predict import predict
 from mobilestereonet.cli.rectify import rectify
 from mobilestereonet.cli.submit import submit
 from mobilestereonet.cli.train import train
+from mobilestereonet.cli.video import video
+from mobilestereonet.cli.web import web
 from mobilestereonet.errors import InputError
 
 app = typer.Typer(
@@ -34,6 +38,8 @@ for command in (
     predict,
     doctor,
     rectify,
+    video,
+    batch,
     models,
     cost,
     evaluate,
@@ -42,6 +48,8 @@ for command in (
     ablate,
     plot_run,
     export,
+    bench,
+    web,
 ):
     app.command()(command)
 app.add_typer(data)

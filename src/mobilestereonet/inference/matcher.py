@@ -325,7 +325,7 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
     net = load_weights(weights)
     config = net.config
     # One network may have several names, so configs are compared.
-    if model is not None and model_config(model, max_disparity=config.max_disparity) != config:
+    if model is not None and _config_of(model, config) != config:
         raise InputError(
             f"{weights}: holds a {_name(config)} network, not {model}: leave the model out"
         )
@@ -333,8 +333,12 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
 
 
 def _name(config: NetConfig) -> str:
-    """The named model that a config is, at any maximum disparity."""
+    """The named model that a config is, at any maximum disparity, with either estimator."""
     for name in list_models():
-        if model_config(name, max_disparity=config.max_disparity) == config:
+        if _config_of(name, config) == config:
             return name
     return "custom"
+
+
+def _config_of(name: str, like: NetConfig) -> NetConfig:
+    return model_config(name, max_disparity=like.max_disparity, estimator=like.estimator)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.disparity import Estimator
 
 Block = Literal["conv", "v1", "v2"]
 CostVolume = Literal[
@@ -53,6 +54,8 @@ class NetConfig:
             (Those of the features always add it, in both of the authors' networks.)
         v2_relu: A ReLU after each v2 block of the first convolutions and of the pre-hourglass
             (but its last), as in the authors' 2D network.
+        estimator: How a disparity comes from its distribution: "mean" as in the paper, "mode" for
+            sharp edges (see `nets.disparity`). In training every head takes the mean.
     """
 
     dims: Literal[2, 3]
@@ -72,6 +75,7 @@ class NetConfig:
     max_disparity: int = 192
     v2_skip: bool = True
     v2_relu: bool = True
+    estimator: Estimator = "mean"
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[object, ...]] = {
@@ -81,6 +85,7 @@ class NetConfig:
             "cost_volume": get_args(CostVolume),
             "pre_hourglass": ("conv", "v2"),
             "hourglass": get_args(Block),
+            "estimator": get_args(Estimator),
         }
         for name, allowed in choices.items():
             value = getattr(self, name)

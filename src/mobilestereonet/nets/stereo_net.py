@@ -62,7 +62,7 @@ class StereoNet(nn.Module):
         scores = self.scores(left, right)
         if self.training:
             return [regress_disparity(score) for score in scores]
-        return regress_disparity(scores[-1])
+        return regress_disparity(scores[-1], self.config.estimator)
 
     def scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
         """Matching scores before the upsampling, see `aggregate`."""

@@ -107,8 +107,9 @@ class ConvertedRuntime(ABC):
         Raises:
             InputError: If the shapes do not fit.
         """
+        estimator = self._net.config.estimator
         with torch.inference_mode(), use_threads(self.threads):
-            maps = [regress_disparity(scores) for scores in self._each(left, right)]
+            maps = [regress_disparity(scores, estimator) for scores in self._each(left, right)]
             return torch.cat(maps).to(left.device)
 
     def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,9 +126,12 @@ class ConvertedRuntime(ABC):
         Raises:
             InputError: If the shapes do not fit.
         """
+        estimator = self._net.config.estimator
         with torch.inference_mode(), use_threads(self.threads):
             maps = [
-                torch.stack((regress_disparity(scores), match_confidence(scores)))
+                torch.stack(
+                    (regress_disparity(scores, estimator), match_confidence(scores, estimator))
+                )
                 for scores in self._each(left, right)
             ]
             disparity, confidence = torch.cat(maps, dim=1).to(left.device)

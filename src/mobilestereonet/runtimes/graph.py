@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+from mobilestereonet.nets.disparity import Estimator, mode_mask
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.runtimes.optimise import fold_norms
 from mobilestereonet.runtimes.planewise import PlanewiseLearnedVolume
@@ -54,6 +55,7 @@ class Graph(nn.Module):
         fold_norms(net)
         self.rgb, self.head, self.sliced = rgb, head, sliced
         self.dims = net.config.dims
+        self.estimator = net.config.estimator
         self.features, self.reduction = net.features, net.reduction
         self.volume = (
             BlockwiseLearnedVolume(net.volume)
@@ -88,7 +90,7 @@ class Graph(nn.Module):
             planar = self.dims == 2
             volume = torch.cat(volume.split(1), dim=1) if planar else volume.unsqueeze(0)
             scores = self.aggregation(volume)
-        return soft_argmax_by_powers(scores) if self.head else scores
+        return soft_argmax_by_powers(scores, self.estimator) if self.head else scores
 
 
 _BLOCK = 4
@@ -152,7 +154,7 @@ class BlockwiseCorrelation(nn.Module):
             yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))
 
 
-def soft_argmax_by_powers(scores: Tensor) -> Tensor:
+def soft_argmax_by_powers(scores: Tensor, estimator: Estimator) -> Tensor:
     """`regress_disparity` with one exponential per score, in operators that engines fuse.
 
     With a and b the exponentials of an eighth of two neighbouring scores, the four fine terms
@@ -160,6 +162,7 @@ def soft_argmax_by_powers(scores: Tensor) -> Tensor:
 
     Args:
         scores: (B, D, H / 4, W / 4).
+        estimator: See `soft_argmax`.
 
     Returns:
         Disparity (B, H, W) in pixels.
@@ -174,8 +177,14 @@ def soft_argmax_by_powers(scores: Tensor) -> Tensor:
     base = a[:, :-1] * a[:, 1:]
     mass = base * both * (both * both - 2 * product)
     first = base * (high - low) * (1.5 * both * both - product)
+    left, right = (
+        (2 * (square[:, None] ** 4)).squeeze(1) for square in (squares[:, 0], squares[:, -1])
+    )
+    if estimator == "mode":
+        keep = mode_mask(mass, left, right)
+        mass, first = mass * keep[:, 1:-1], first * keep[:, 1:-1]
+        left, right = left * keep[:, 0], right * keep[:, -1]
     centres = 4 * torch.arange(planes - 1, dtype=scores.dtype, device=scores.device) + 3.5
     moment = (centres[:, None, None] * mass + first).sum(dim=1)
-    ends = [(2 * (square[:, None] ** 4)).squeeze(1) for square in (squares[:, 0], squares[:, -1])]
-    total = mass.sum(dim=1) + ends[0] + ends[1]
-    return (moment + 0.5 * ends[0] + (4 * planes - 1.5) * ends[1]) / total
+    total = mass.sum(dim=1) + left + right
+    return (moment + 0.5 * left + (4 * planes - 1.5) * right) / total

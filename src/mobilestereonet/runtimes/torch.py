@@ -108,7 +108,8 @@ class TorchRuntime:
         """
         with torch.inference_mode(), use_threads(self.threads):
             scores = self.net.scores(*self._views(left, right))[-1]
-            maps = regress_disparity(scores), match_confidence(scores)
+            estimator = self.net.config.estimator
+            maps = regress_disparity(scores, estimator), match_confidence(scores, estimator)
             return maps[0].to(left.device), maps[1].to(left.device)
 
     def _views(self, left: Tensor, right: Tensor) -> list[Tensor]:

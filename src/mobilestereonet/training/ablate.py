@@ -122,8 +122,10 @@ def _write_json(path: Path, record: dict[str, Any]) -> None:
 
 
 def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
-    """Score the exported weights as a user would run them."""
-    matcher = StereoMatcher.from_pretrained(weights=run / "weights.safetensors", device=device)
+    """Score the exported weights."""
+    matcher = StereoMatcher.from_pretrained(
+        weights=run / "weights.safetensors", runtime="torch", device=device, precision="fp32"
+    )
     result = evaluate(
         matcher.disparity,
         (pairs[index] for index in range(len(pairs))),

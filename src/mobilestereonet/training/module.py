@@ -51,7 +51,9 @@ class StereoModule(L.LightningModule):
     def __init__(self, recipe: Recipe, steps: int, global_batch: int) -> None:
         super().__init__()
         torch.manual_seed(recipe.seed)
-        self.net = create_model(recipe.model, max_disparity=recipe.max_disparity)
+        self.net = create_model(
+            recipe.model, max_disparity=recipe.max_disparity, estimator=recipe.estimator
+        )
         if recipe.zero_residuals:
             self.net.zero_residuals()
         # Several times faster on a CPU.

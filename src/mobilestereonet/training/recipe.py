@@ -26,6 +26,8 @@ class Recipe:
     Attributes:
         model: Name of the network, see `list_models`.
         max_disparity: Disparities 0 .. max_disparity - 1 are searched.
+        estimator: How the trained network estimates a disparity, see `NetConfig`; training itself
+            takes the mean.
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
         data_options: Options of the data set's scanner, such as its split.
         val_options: The same for validation; None validates on procedural scenes.
@@ -57,6 +59,7 @@ class Recipe:
 
     model: str = "msnet2d"
     max_disparity: int = 192
+    estimator: str = "mean"
     data: str = "procedural"
     data_options: dict[str, Any] = field(default_factory=dict)
     val_options: dict[str, Any] | None = None
@@ -145,6 +148,7 @@ RECIPES: dict[str, Recipe] = {
         schedule=((0.0, 1.0), (0.5, 1.0), (0.5, 0.1), (1.0, 0.1)),
     ),
     "procedural": Recipe(
+        estimator="mode",
         scenes=SceneConfig(height=320, width=640),
         augment=AugmentConfig(
             height=256,

@@ -1,0 +1,122 @@
+"""``msnet batch``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+
+
+def batch(
+    left: Annotated[
+        str,
+        typer.Argument(
+            help="Folder or pattern of left views; alone, a folder in the layout of KITTI's "
+            "odometry (sequences/00/image_2 ...)."
+        ),
+    ],
+    right: Annotated[str | None, typer.Argument(help="The right views, likewise.")] = None,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    write: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Map to write: disparity.png (the default; 16 bit, x 256), .pfm or .npy; "
+            "depth.png (16-bit mm), .npy or .tiff (m); picture.png. Repeat for more."
+        ),
+    ] = None,
+    skip_existing: Annotated[
+        bool, typer.Option("--skip-existing", help="Keep the pairs that have all their maps.")
+    ] = False,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Match on a Ray cluster: its address, or local for one on this machine. What is "
+            "finished is kept always.",
+        ),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
+    gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "auto",
+    threads: Threads = None,
+    device: Device = "auto",
+    calib: Calib = None,
+    calib_left: CalibLeft = None,
+    unit: Unit = None,
+    focal: Focal = None,
+    baseline: Baseline = None,
+    doffs: Doffs = 0.0,
+) -> None:
+    """Match folders of pairs; --skip-existing goes on where it was stopped.
+
+    Exit code 1: some pairs could not be matched.
+    """
+    import sys
+    from dataclasses import replace
+    from functools import partial
+
+    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.cli.calibration import calibration_from
+    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.progress import progress_bar
+    from mobilestereonet.errors import InputError
+    from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
+
+    # A cluster's processes have working folders of their own.
+    files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
+    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
+    pairs = find_pairs(left, right)
+    if calibration is not None:
+        pairs = [replace(pair, calibration=calibration) for pair in pairs]
+    if files.needs_calibration and any(pair.calibration is None for pair in pairs):
+        raise InputError("depth needs --calib FILE, or --focal and --baseline")
+    cpus = threads or 1
+    if ray is not None and model != "sgbm":
+        threads = cpus  # a worker shares its machine
+    engine = engine_options(model, runtime, precision, threads, device)
+    make_matcher = partial(
+        StereoMatcher.from_pretrained, model, weights=weights and weights.absolute(), **engine
+    )
+    todo = files.unfinished(pairs) if skip_existing or ray else pairs
+    make_folder(output)
+    if ray is None:
+        outcomes = match_pairs(todo, make_matcher(), files)
+    else:
+        outcomes = match_on_ray(
+            todo,
+            files,
+            make_matcher,
+            address=ray,
+            workers=workers,
+            cpus=cpus,
+            gpus=gpus,
+        )
+    failed = 0
+    with progress_bar("pairs") as progress:
+        for outcome in progress.track(outcomes, total=len(todo), description="matching"):
+            if outcome.problem:
+                failed += 1
+                progress.console.print(
+                    f"msnet: {outcome.name} skipped: {outcome.problem}",
+                    markup=False,
+                    highlight=False,
+                    soft_wrap=True,
+                )
+    matched, kept = len(todo) - failed, len(pairs) - len(todo)
+    print(f"{output}: {matched} pairs matched, {kept} kept, {failed} failed")
+    if failed:
+        sys.exit(1)

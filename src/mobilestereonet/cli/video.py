@@ -1,0 +1,133 @@
+"""``msnet video``."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import Annotated
+
+import typer
+
+from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+
+
+def video(
+    left: Annotated[
+        str,
+        typer.Argument(
+            help="Side-by-side video, or the left view's: a file; a camera's number, device or "
+            "address; a folder or a pattern of images."
+        ),
+    ],
+    right: Annotated[str | None, typer.Argument(help="The right view's, likewise.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Video of colours to write: .mp4, .mkv or .mov."),
+    ] = None,
+    frames: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for each frame's disparity (16-bit PNG, x 256) and, with a calibration, "
+            "depth (16-bit PNG, mm)."
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep the frames that --frames holds already.")
+    ] = False,
+    beside: Annotated[
+        bool, typer.Option("--beside", help="Show the left view beside the colours.")
+    ] = False,
+    fps: Annotated[
+        float, typer.Option(min=0.01, help="Frames per second of an image sequence.")
+    ] = 10.0,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights file, ours or the authors'.")
+    ] = None,
+    runtime: Runtime = "auto",
+    precision: Precision = "auto",
+    threads: Threads = None,
+    device: Device = "auto",
+    calib: Calib = None,
+    calib_left: CalibLeft = None,
+    unit: Unit = None,
+    focal: Focal = None,
+    baseline: Baseline = None,
+    doffs: Doffs = 0.0,
+) -> None:
+    """Match a video, a camera or an image sequence. Ctrl-C ends it and keeps what there is."""
+    import time
+
+    from mobilestereonet.cli.calibration import calibration_from
+    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.progress import progress_bar
+    from mobilestereonet.errors import InputError
+    from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
+    from mobilestereonet.streams.video_files import check_video_file
+
+    if output is None and frames is None:
+        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER or both")
+    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
+    if frames is None and (resume or calibration is not None):
+        raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
+    if output is not None:
+        check_video_file(output)
+    stream = open_stream(left, right, fps)
+    engine = engine_options(model, runtime, precision, threads, device)
+    matcher = StereoMatcher.from_pretrained(model, weights=weights, **engine)
+    kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
+    started = time.perf_counter()
+    with progress_bar("frames") as progress, _interrupted() as stop:
+        task = progress.add_task("matching", total=stream.total)
+
+        def report(frame: StereoFrame) -> None:
+            progress.advance(task)
+            if frame.problem:
+                message = f"msnet: frame {frame.name} skipped: {frame.problem}"
+                progress.console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+        tally = match_video(
+            stream,
+            matcher,
+            video=output,
+            frames=None if frames is None else MapFiles(frames, kinds),
+            resume=resume,
+            beside=beside,
+            calibration=calibration,
+            stop=stop,
+            report=report,
+        )
+    rate = tally.matched / (time.perf_counter() - started)
+    written = " and ".join(str(path) for path in (output, frames) if path is not None)
+    print(f"{written}: {tally.matched} frames, {rate:.2f} per second")
+    if tally.broken:
+        print(f"{tally.broken} broken frames skipped")
+    if tally.passed_over:
+        print(f"{tally.passed_over} frames of the camera passed over: it is faster than matching")
+    if stop.is_set():
+        print("stopped" + ("" if stream.live or frames is None else "; --resume goes on from here"))
+
+
+@contextmanager
+def _interrupted() -> Iterator[Event]:
+    """An event that Ctrl-C sets; the second Ctrl-C interrupts as usual."""
+    event = Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt(*_: object) -> None:
+        event.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,69 @@
+"""``msnet web``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from mobilestereonet.cli.engine import Device, Precision, Threads
+
+
+def web(
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 lets the whole network in.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(help="Default: the first free one from 7860 on.")
+    ] = None,
+    precision: Precision = "auto",
+    threads: Threads = None,
+    device: Device = "auto",
+    max_megapixels: Annotated[float, typer.Option(help="Largest picture that is taken.")] = 2.1,
+    max_megabytes: Annotated[int, typer.Option(help="Largest upload that is taken.")] = 20,
+    queue: Annotated[int, typer.Option(help="Visitors who may wait.")] = 8,
+) -> None:
+    """Serve a page to try pairs on, to this machine only unless told otherwise."""
+    import signal
+    import sys
+    from importlib.util import find_spec
+    from threading import Event
+
+    from mobilestereonet.errors import InputError
+
+    if find_spec("gradio") is None:
+        raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
+
+    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
+    from mobilestereonet.runtimes.choose import AUTO, RUNTIMES
+    from mobilestereonet.runtimes.sgbm import StereoSGBM
+    from mobilestereonet.web.examples import examples
+    from mobilestereonet.web.page import Offer
+    from mobilestereonet.web.server import running
+    from mobilestereonet.web.uploads import Limits
+    from mobilestereonet.weights import embedded_models
+
+    def matcher(model: str, runtime: str) -> StereoMatcher:
+        classical = model == StereoSGBM.name
+        options = {} if classical else engine_options(model, runtime, precision, threads, device)
+        return StereoMatcher.from_pretrained(model, confidence=not classical, **options)
+
+    others = [name for name in embedded_models() if name != DEFAULT_MODEL]
+    offer = Offer(
+        models=[DEFAULT_MODEL, *others, StereoSGBM.name],
+        runtimes=[name for name in RUNTIMES if name == AUTO or find_spec(name)],
+        matcher=matcher,
+        examples=examples(),
+        limits=Limits(max_megabytes, round(max_megapixels * 1e6), queue),
+    )
+    # So that files are deleted however the server is ended.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with running(offer, host=host, port=port) as address:
+        print(f"{address} (end with Ctrl-C)", flush=True)
+        if host not in ("127.0.0.1", "localhost", "::1"):
+            print("msnet: without a password, to all who reach this machine", file=sys.stderr)
+        try:
+            Event().wait()
+        except KeyboardInterrupt:
+            print("ended, files deleted")

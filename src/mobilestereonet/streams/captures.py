@@ -1,0 +1,72 @@
+"""Cameras and addresses, as OpenCV opens them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams.overlap import newest
+from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
+
+
+def is_capture(source: str) -> bool:
+    """Whether a source is a camera (a number or a device) or an address, not a file."""
+    return source.isdigit() or "://" in source or Path(source).is_char_device()
+
+
+def open_captures(sources: Sequence[str]) -> Stream:
+    """Open a stereo camera, or two cameras.
+
+    A live capture does not wait: if matching is slower, frames are passed over. What is read from
+    a file (``file://...``) waits.
+
+    Args:
+        sources: One capture with both views side by side, or two: numbers of cameras, devices or
+            addresses.
+
+    Raises:
+        InputError: If one cannot be opened.
+    """
+    live = not all(source.startswith("file://") for source in sources)
+    captures = [_open(source) for source in sources]
+    frames = _frames(captures, live)
+    return Stream(newest(frames) if live else frames, None, live)
+
+
+def _open(source: str) -> Any:
+    logging = cv2.utils.logging
+    level = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # the backends that do not know the source warn
+    capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    logging.setLogLevel(level)
+    if not capture.isOpened():
+        raise InputError(
+            f"{source}: OpenCV cannot open this capture; is the camera connected and free, or the "
+            "address right?"
+        )
+    return capture
+
+
+def _frames(captures: Sequence[Any], live: bool) -> Generator[StereoFrame]:
+    started = time.monotonic()
+    try:
+        for index in count():
+            # Both take their picture before one is decoded: they should show one moment.
+            if not all(capture.grab() for capture in captures):
+                return
+            shown = captures[0].get(cv2.CAP_PROP_POS_MSEC) / 1000
+            seconds = time.monotonic() - started if live else shown
+            taken = [capture.retrieve() for capture in captures]
+            pictures = [
+                cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if whole else None for whole, image in taken
+            ]
+            yield make_frame(index, seconds, pictures)
+    finally:
+        for capture in captures:
+            capture.release()

@@ -1,0 +1,104 @@
+"""Pairs shared out over the machines of a Ray cluster."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.matcher import StereoMatcher
+from mobilestereonet.streams.batch import Outcome, match_pairs
+from mobilestereonet.streams.maps import MapFiles
+from mobilestereonet.streams.pairs import Pair
+
+PAIRS_PER_TASK = 8
+"""What a worker is given at a time: few, so that the workers end together."""
+
+
+class _Worker:
+    """One process of the cluster, with a matcher of its own."""
+
+    def __init__(
+        self, pairs: Sequence[Pair], files: MapFiles, make_matcher: Callable[[], StereoMatcher]
+    ) -> None:
+        self.pairs, self.files = pairs, files
+        self.matcher = make_matcher()
+
+    def __call__(self, rows: dict[str, Any]) -> dict[str, Any]:
+        pairs = [self.pairs[index] for index in rows["item"]]
+        # A task whose worker died is given to another one, which finds what is finished.
+        todo = self.files.unfinished(pairs)
+        outcomes = [Outcome(pair.name) for pair in pairs if pair not in todo]
+        outcomes += match_pairs(todo, self.matcher, self.files)
+        return {
+            "name": [outcome.name for outcome in outcomes],
+            "problem": [outcome.problem for outcome in outcomes],
+        }
+
+
+def match_on_ray(
+    pairs: Sequence[Pair],
+    files: MapFiles,
+    make_matcher: Callable[[], StereoMatcher],
+    *,
+    address: str = "local",
+    workers: int = 2,
+    cpus: int = 1,
+    gpus: float = 0,
+) -> Iterator[Outcome]:
+    """Match pairs on a Ray cluster and write their maps.
+
+    What is finished is never matched again: neither what an earlier run left, nor what a worker
+    had written before it died. All machines need the same package, and the pairs, the weights and
+    the output in folders of the same names.
+
+    Args:
+        pairs: Where their views lie.
+        files: Where their maps go.
+        make_matcher: Makes a worker's matcher.
+        address: The cluster's; "local" starts one on this machine for the time being.
+        workers: How many processes.
+        cpus: Processor cores of each.
+        gpus: GPUs of each.
+
+    Yields:
+        What became of each pair, in any order.
+
+    Raises:
+        InputError: If Ray is not installed, the cluster cannot be reached, or a worker fails in
+            another way than by dying, such as on weights that its machine does not have.
+    """
+    try:
+        import ray
+        import ray.data
+    except ImportError as error:
+        raise InputError('Ray is not installed: pip install "mobilestereonet[ray]"') from error
+    todo = files.unfinished(pairs)
+    if not todo:
+        return
+    local = {"num_cpus": workers * cpus, "include_dashboard": False} if address == "local" else {}
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR", **local)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise InputError(f"no Ray cluster at {address!r}: {error}") from error
+    try:
+        logging.getLogger("ray.data").setLevel(logging.ERROR)
+        ray.data.DataContext.get_current().enable_progress_bars = False
+        tasks = -(-len(todo) // PAIRS_PER_TASK)
+        outcomes = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
+        outcomes = outcomes.map_batches(
+            _Worker,
+            fn_constructor_args=(todo, files, make_matcher),
+            batch_size=None,
+            compute=ray.data.ActorPoolStrategy(size=min(workers, tasks)),
+            num_cpus=cpus,
+            num_gpus=gpus,
+        )
+        for row in outcomes.iter_rows():
+            yield Outcome(row["name"], row["problem"])
+    except ray.exceptions.RayError as error:
+        # What Ray tells ends with the line that the worker's own error had.
+        raise InputError(f"a worker failed: {str(error).strip().splitlines()[-1]}") from error
+    finally:
+        ray.shutdown()

@@ -1,0 +1,120 @@
+"""The maps of many pairs as files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from torch import Tensor
+
+from mobilestereonet.data.depth_files import write_depth
+from mobilestereonet.data.disparity_files import (
+    KITTI_SCALE,
+    FloatMap,
+    read_disparity_png,
+    write_disparity_png,
+)
+from mobilestereonet.data.files import write_npy, write_pfm, write_png
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.plots import to_picture
+from mobilestereonet.streams.pairs import Pair
+
+_LARGEST_IN_PNG = 65535 / KITTI_SCALE
+
+
+def _known(result: StereoResult) -> FloatMap:
+    return np.where(result.valid, result.disparity, np.float32(np.inf))
+
+
+def _write_disparity(path: Path, result: StereoResult) -> None:
+    write_disparity_png(
+        path, result.disparity, result.valid & (result.disparity <= _LARGEST_IN_PNG)
+    )
+
+
+_WRITERS: dict[str, Callable[[Path, StereoResult], None]] = {
+    "disparity.png": _write_disparity,
+    "disparity.pfm": lambda path, result: write_pfm(path, _known(result)),
+    "disparity.npy": lambda path, result: write_npy(path, _known(result)),
+    "picture.png": lambda path, result: write_png(path, result.picture()),
+}
+
+MAP_KINDS = (*_WRITERS, "depth.png", "depth.npy", "depth.tiff")
+"""Maps that a pair may get; `StereoResult.save` and `write_depth` say what is in them."""
+
+
+@dataclass(frozen=True)
+class MapFiles:
+    """Where the maps of each pair go: ``FOLDER/NAME_disparity.png`` and so on.
+
+    Args:
+        folder: Folder to write to.
+        kinds: What to write, of `MAP_KINDS`.
+
+    Raises:
+        InputError: If a kind is unknown.
+    """
+
+    folder: Path
+    kinds: tuple[str, ...] = ("disparity.png",)
+
+    def __post_init__(self) -> None:
+        unknown = [kind for kind in self.kinds if kind not in MAP_KINDS]
+        if unknown or not self.kinds:
+            raise InputError(f"maps to write are of {', '.join(MAP_KINDS)}; got {unknown}")
+
+    @property
+    def needs_calibration(self) -> bool:
+        """Whether one of the maps is a depth."""
+        return any(kind.startswith("depth") for kind in self.kinds)
+
+    def path(self, name: str, kind: str) -> Path:
+        """The file of one of a pair's maps."""
+        return self.folder / f"{name}_{kind}"
+
+    def finished(self, name: str) -> bool:
+        """Whether a pair has all its files; each is written in one go, so they are whole."""
+        return all(self.path(name, kind).is_file() for kind in self.kinds)
+
+    def unfinished(self, pairs: Sequence[Pair]) -> list[Pair]:
+        """The pairs that lack a file."""
+        return [pair for pair in pairs if not self.finished(pair.name)]
+
+    def save(self, name: str, result: StereoResult, calibration: Calibration | None) -> None:
+        """Write a pair's maps, each file atomically.
+
+        Args:
+            name: The pair's name.
+            result: What matching it gave.
+            calibration: Its geometry; depth needs it.
+
+        Raises:
+            InputError: If it is missing.
+        """
+        for kind in self.kinds:
+            path = self.path(name, kind)
+            if kind in _WRITERS:
+                _WRITERS[kind](path, result)
+            elif calibration is None:
+                raise InputError(f"{path}: depth needs a calibration, and {name} has none")
+            else:
+                write_depth(path, result.depth(calibration))
+
+    def load(self, name: str, left: Tensor) -> StereoResult:
+        """What was saved, for the left view (3, H, W) that it belongs to.
+
+        Raises:
+            InputError: If the saved disparity is damaged or of another size.
+        """
+        path = self.path(name, "disparity.png")
+        disparity, valid = read_disparity_png(path)
+        if disparity.shape != left.shape[-2:]:
+            raise InputError(
+                f"{path}: shape is {disparity.shape}, but the left view's is "
+                f"{tuple(left.shape[-2:])}: it is of another stream; choose another folder"
+            )
+        return StereoResult(left=to_picture(left), disparity=disparity, valid=valid)

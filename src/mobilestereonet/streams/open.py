@@ -1,0 +1,42 @@
+"""From what a user names to a stream."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams.captures import is_capture, open_captures
+from mobilestereonet.streams.pairs import find_pairs, read_pairs
+from mobilestereonet.streams.stream import Stream
+from mobilestereonet.streams.video_files import open_videos
+
+
+def open_stream(left: str, right: str | None = None, fps: float = 10.0) -> Stream:
+    """Open a video, a camera or an image sequence.
+
+    Args:
+        left: A video file; the number of a camera, its device or an address; or, for an image
+            sequence, a folder or a pattern. Without ``right`` it shows both views side by side.
+        right: The same of the right view.
+        fps: Frames per second of an image sequence.
+
+    Raises:
+        FileNotFoundError: If a file or a folder does not exist.
+        InputError: If it cannot be opened, or the two do not belong together.
+    """
+    sources = [left] if right is None else [left, right]
+    for kind, is_kind in (("captures", is_capture), ("video files", _is_file)):
+        if any(map(is_kind, sources)):
+            if not all(map(is_kind, sources)):
+                raise InputError(f"{left} and {right}: only one of them is among {kind}")
+            return open_captures(sources) if kind == "captures" else open_videos(sources)
+    if right is None:
+        if not Path(left).exists():
+            raise FileNotFoundError(f"{left}: no such video")
+        raise InputError(f"{left}: an image sequence needs two folders or patterns, left and right")
+    pairs = find_pairs(left, right)
+    return Stream(read_pairs(pairs, fps), len(pairs))
+
+
+def _is_file(source: str) -> bool:
+    return Path(source).is_file()

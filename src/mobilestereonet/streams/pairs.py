@@ -1,0 +1,132 @@
+"""Pairs of images in folders."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mobilestereonet.data.calibration import read_calibration
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.data.scanners import PairFolder
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.prepare import load_pair
+from mobilestereonet.streams.stream import StereoFrame
+
+_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
+_WILDCARD = re.compile(r"[*?[]")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Where a pair's views lie.
+
+    Attributes:
+        name: What to call it in reports and file names; may hold slashes.
+        left: Left view.
+        right: Right view.
+        calibration: Its geometry, if the folders tell it.
+    """
+
+    name: str
+    left: Path
+    right: Path
+    calibration: Calibration | None = None
+
+
+def find_pairs(left: str | Path, right: str | Path | None = None) -> list[Pair]:
+    """Find the pairs of two folders, or of a data set in the layout of KITTI's odometry.
+
+    Args:
+        left: Folder of left views, or a pattern such as ``run/cam0/*.png``. Without ``right``, the
+            folder that holds ``sequences/00/image_2`` and so on.
+        right: Folder of right views whose files have the same names, or a pattern whose wildcards
+            stand for the same as in ``left``.
+
+    Returns:
+        The pairs in the order of their names, in which 10 comes after 9.
+
+    Raises:
+        FileNotFoundError: If a folder or a view does not exist.
+        InputError: If a view has no partner, or the folders do not tell which images are meant.
+    """
+    if right is None:
+        return _kitti_odometry(Path(left))
+    patterns = [_pattern(source) for source in (left, right)]
+    fixed = [_fixed(pattern) for pattern in patterns]
+    # PairFolder looks below one root.
+    root = Path(os.path.commonpath(fixed))
+    below = [Path(os.path.relpath(pattern, root)).as_posix() for pattern in patterns]
+    frames = PairFolder(root, left=below[0], right=below[1]).frames
+    alone = set(root.glob(below[1])) - {frame.right for frame in frames}
+    if alone:
+        raise InputError(
+            f"{len(frames)} left views, but {len(frames) + len(alone)} right ones: "
+            f"{min(alone)} has no left view"
+        )
+    pairs = [
+        Pair(frame.left.relative_to(fixed[0]).with_suffix("").as_posix(), frame.left, frame.right)
+        for frame in frames
+    ]
+    return sorted(pairs, key=lambda pair: _natural(pair.name))
+
+
+def _kitti_odometry(root: Path) -> list[Pair]:
+    sequences = root / "sequences"
+    cameras = next((c for c in ((2, 3), (0, 1)) if any(sequences.glob(f"*/image_{c[0]}"))), None)
+    if cameras is None:
+        raise InputError(
+            f"{root}: no sequences/*/image_2 or image_0 in it, as KITTI's odometry has; give two "
+            "folders or patterns, the left views and the right ones"
+        )
+    left, right = (f"{sequences}/*/image_{camera}/*.png" for camera in cameras)
+    calibrations = {
+        file.parent.name: read_calibration(file, cameras) for file in sequences.glob("*/calib.txt")
+    }
+    pairs = []
+    for pair in find_pairs(left, right):
+        sequence, _, frame = pair.name.split("/")
+        calibration = calibrations.get(sequence)
+        pairs.append(Pair(f"{sequence}/{frame}", pair.left, pair.right, calibration))
+    return pairs
+
+
+def _pattern(source: str | Path) -> Path:
+    """The absolute pattern of the images that a folder or a pattern names."""
+    path = Path(source).resolve()
+    if not path.is_dir():
+        if not _WILDCARD.search(str(path)):
+            raise FileNotFoundError(f"{source}: no such file, folder or pattern")
+        return path
+    endings = {file.suffix for file in path.iterdir() if file.suffix.lower() in _IMAGES}
+    if len(endings) != 1:
+        found = f"images that end in {' and '.join(sorted(endings))}" if endings else "no image"
+        raise InputError(f"{source}: {found}; give a pattern such as '{source}/*.png'")
+    return path / f"*{endings.pop()}"
+
+
+def _fixed(pattern: Path) -> Path:
+    """The folder above the first wildcard."""
+    return Path(_WILDCARD.split(str(pattern))[0] + "*").parent
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def read_pairs(pairs: Iterable[Pair], fps: float = 1.0) -> Iterator[StereoFrame]:
+    """Read pairs, one after the other; what cannot be read is told, not raised.
+
+    Args:
+        pairs: Where they lie.
+        fps: How many are shown per second.
+    """
+    for index, pair in enumerate(pairs):
+        views, problem = None, ""
+        try:
+            views = load_pair(pair.left, pair.right)
+        except (InputError, OSError) as error:
+            problem = str(error)
+        yield StereoFrame(index, pair.name, index / fps, views, problem, pair.calibration)

@@ -1,0 +1,160 @@
+"""A stream in, a video of colours and the maps of its frames out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.matcher import StereoMatcher
+from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.plots import Picture, colour_disparity, side_by_side
+from mobilestereonet.streams.batch import Matched, matched
+from mobilestereonet.streams.maps import MapFiles
+from mobilestereonet.streams.overlap import ahead
+from mobilestereonet.streams.stream import StereoFrame, Stream
+from mobilestereonet.streams.video_files import write_video
+
+
+@dataclass
+class Tally:
+    """How many frames of a stream met which fate.
+
+    Attributes:
+        matched: Were matched, or had been before.
+        broken: Could not be read or matched, and were skipped.
+        passed_over: Came from a camera while another one was being matched.
+    """
+
+    matched: int = 0
+    broken: int = 0
+    passed_over: int = 0
+
+
+class SteadyRange:
+    """The disparity of the last colour, which follows the scene slowly, so that nothing flickers.
+
+    It is the 99th percentile, averaged over about the last second.
+    """
+
+    def __init__(self, memory: float = 1.0) -> None:
+        """Begin with what comes first.
+
+        Args:
+            memory: Seconds after which a frame's weight has sunk to 1/e.
+        """
+        self.memory = memory
+        self.maximum: float | None = None
+        self.seconds = 0.0
+
+    def update(self, seconds: float, result: StereoResult) -> float:
+        """Take in a frame.
+
+        Args:
+            seconds: When it is shown; not before the one before.
+            result: Its disparity.
+
+        Returns:
+            The disparity of the last colour, in px.
+        """
+        known = result.disparity[result.valid]
+        if known.size:
+            high = float(np.percentile(known, 99))
+            share = 1 - math.exp((self.seconds - seconds) / self.memory)
+            before = high if self.maximum is None else self.maximum
+            self.maximum = before + share * (high - before)
+            self.seconds = seconds
+        return 1.0 if self.maximum is None else self.maximum
+
+
+def match_video(
+    stream: Stream,
+    matcher: StereoMatcher,
+    *,
+    video: Path | None = None,
+    frames: MapFiles | None = None,
+    resume: bool = False,
+    beside: bool = False,
+    calibration: Calibration | None = None,
+    stop: Event | None = None,
+    report: Callable[[StereoFrame], None] = lambda frame: None,
+) -> Tally:
+    """Match a stream; reading, matching and writing overlap.
+
+    Args:
+        stream: The frames.
+        matcher: What matches them.
+        video: Video of the disparity's colours to write; it is there once it is complete.
+        frames: Where each frame's maps go, if they are wanted.
+        resume: Take the maps that are in ``frames`` already for those of this stream, and match
+            the other frames only.
+        beside: The video has the left view beside the colours.
+        calibration: Geometry of the stream, for depth.
+        stop: Ends the stream early once it is set; the video is then a shorter one.
+        report: Called for each frame that is done, also the broken ones: these have a ``problem``.
+
+    Raises:
+        InputError: If no frame could be matched, or the stream and the arguments contradict each
+            other.
+        OSError: If a file cannot be written.
+    """
+    if resume and (frames is None or "disparity.png" not in frames.kinds or stream.live):
+        raise InputError("to resume takes the frames' disparities as files, and no live camera")
+    tally = Tally()
+    problem = "there is none"
+    colours = SteadyRange()
+
+    def pictures(results: Iterable[Matched]) -> Iterator[tuple[float, Picture]]:
+        nonlocal problem
+        for frame, result in _one_size(results) if video is not None else results:
+            tally.passed_over += frame.index - tally.matched - tally.broken - tally.passed_over
+            if result is None:
+                problem = frame.problem
+                tally.broken += 1
+            else:
+                if frames is not None and not (resume and frames.finished(frame.name)):
+                    frames.save(frame.name, result, calibration)
+                tally.matched += 1
+                yield frame.seconds, _picture(result, colours.update(frame.seconds, result), beside)
+            report(frame)
+            if stop is not None and stop.is_set():
+                return
+
+    with closing(ahead(matched(ahead(stream.frames), matcher, frames if resume else None))) as made:
+        shown = pictures(made)
+        # Nothing is made for a stream that gives nothing.
+        first = next(shown, None)
+        if first is None:
+            raise InputError(f"no frame could be matched: {problem}")
+        shown = chain([first], shown)
+        if video is not None:
+            write_video(video, shown)
+        else:
+            deque(shown, maxlen=0)
+    return tally
+
+
+def _one_size(results: Iterable[Matched]) -> Iterator[Matched]:
+    """The results, but for those that do not fit into the first one's video."""
+    size: tuple[int, ...] | None = None
+    for frame, result in results:
+        size = size or (result.disparity.shape if result is not None else None)
+        if result is not None and result.disparity.shape != size:
+            problem = f"height and width are {result.disparity.shape}, but the first frame's {size}"
+            yield replace(frame, problem=problem), None
+        else:
+            yield frame, result
+
+
+def _picture(result: StereoResult, maximum: float, beside: bool) -> Picture:
+    colours = colour_disparity(result.disparity, maximum, result.valid)
+    return side_by_side([result.left, colours]) if beside else colours

@@ -1,0 +1,30 @@
+"""Pairs for visitors who have none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mobilestereonet.data.motorcycle import motorcycle
+from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
+
+# As scikit-image's documentation of the pair gives it, for its size.
+_MOTORCYCLE = Calibration(focal=994.978, baseline=0.193001, doffs=31.086, cx=311.193, cy=254.877)
+_RENDERED = SceneConfig(
+    height=320,
+    width=512,
+    max_disparity=96,
+    min_disparity=32,
+    kinds={"street": 1, "room": 1, "table": 1, "park": 1},
+    noise_textures=32,
+)
+_SCENES = {"Street": 0, "Table": 5, "Park": 9}
+
+
+def examples() -> list[StereoSample]:
+    """A real pair and rendered ones, each with its calibration and a name to show."""
+    scenes = ProceduralScenes(_RENDERED)
+    return [
+        replace(motorcycle(), calibration=_MOTORCYCLE, name="Motorcycle"),
+        *(replace(scenes[index], name=name) for name, index in _SCENES.items()),
+    ]

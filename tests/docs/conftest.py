@@ -1,0 +1,53 @@
+"""The files that the pages' commands take."""
+
+import cv2
+import numpy as np
+import pytest
+from skimage.data import stereo_motorcycle
+
+from mobilestereonet.data import Calibration, write_pfm
+from mobilestereonet.data.calibration import write_calibration
+
+HEIGHT, WIDTH = 128, 256
+FOCAL, BASELINE = 340.0, 0.193
+
+
+def _write_opencv(path, **matrices):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, matrix in matrices.items():
+        storage.write(name, matrix)
+    storage.release()
+
+
+def _write_calibrations(folder):
+    camera = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    left = np.hstack([camera, np.zeros((3, 1))])
+    right = left - [[0, 0, 0, FOCAL * BASELINE], [0] * 4, [0] * 4]
+    in_mm = left - [[0, 0, 0, 1000 * FOCAL * BASELINE], [0] * 4, [0] * 4]
+    write_calibration(folder / "calib.txt", Calibration(FOCAL, BASELINE), (WIDTH, HEIGHT))
+    rows = [" ".join(map(repr, matrix.ravel().tolist())) for matrix in (left, right)]
+    kitti = "".join(f"P_rect_{2 + index:02d}: {row}\n" for index, row in enumerate(rows))
+    (folder / "calib_cam_to_cam.txt").write_text(kitti)
+    ros = f"projection_matrix:\n  rows: 3\n  cols: 4\n  data: {right.ravel().tolist()}\n"
+    (folder / "right.yaml").write_text(ros)
+    _write_opencv(folder / "rectified.yml", P1=left, P2=in_mm)
+    straight = {"M1": camera, "D1": np.zeros(5), "M2": camera, "D2": np.zeros(5), "R": np.eye(3)}
+    _write_opencv(folder / "stereo.yml", **straight, T=np.array([-1000 * BASELINE, 0, 0]))
+
+
+@pytest.fixture(scope="session")
+def shared_files(tmp_path_factory):
+    """A small real pair under the pages' names, with calibrations and ground truth."""
+    folder = tmp_path_factory.mktemp("pages")
+    *views, truth = stereo_motorcycle()
+    for name, view in zip(("left", "right"), views, strict=True):
+        small = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        (folder / "my_pairs" / name).mkdir(parents=True)
+        for path in (f"{name}.png", f"raw_{name}.png", f"my_pairs/{name}/000.png"):
+            assert cv2.imwrite(str(folder / path), cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+    scale = WIDTH / truth.shape[1]
+    small = cv2.resize(truth * scale, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    (folder / "my_pairs" / "disparity").mkdir()
+    write_pfm(folder / "my_pairs" / "disparity" / "000.pfm", small.astype(np.float32))
+    _write_calibrations(folder)
+    return folder

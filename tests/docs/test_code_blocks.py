@@ -1,0 +1,120 @@
+"""The pages' code blocks: they run, or say why not, and every command in them exists."""
+
+import ast
+import importlib
+import re
+import shlex
+import shutil
+import sys
+
+import pytest
+import typer
+from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
+
+from mobilestereonet.cli.assignments import parse_assignments
+from mobilestereonet.cli.main import app, main
+from mobilestereonet.training.recipe import get_recipe, override
+
+TESTED_ELSEWHERE = {"streams.md": "tests/streams", "web.md": "tests/web", "CONTRIBUTING.md": "CI"}
+"""Pages whose blocks need videos, extras, a browser or hours, and where their commands run."""
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def find_command(arguments):
+    """The command that the first words name, and the other words."""
+    command = typer.main.get_command(app)
+    while hasattr(command, "commands") and arguments and not arguments[0].startswith("-"):
+        assert arguments[0] in command.commands, f"msnet has no command {arguments[0]}"
+        command, arguments = command.commands[arguments[0]], arguments[1:]
+    return command, arguments
+
+
+def check_extras(words):
+    """What `pip install` asks of this package exists."""
+    text = (ROOT / "pyproject.toml").read_text()
+    extras = re.findall(r"^(\w+) = \[", text[text.index("optional-dependencies") :], flags=re.M)
+    for names in re.findall(r"(?:mobilestereonet|\.)\[([\w,]+)\]", " ".join(words)):
+        assert set(names.split(",")) <= set(extras)
+
+
+@pages
+def test_blocks_that_do_not_run_say_why(page):
+    for block in blocks(page):
+        where = f"{page.name}:{block.line}"
+        assert block.language in ("bash", "python", "text"), where
+        set_up = page.name == "README.md" and block.marker in SET_UP
+        assert not block.marker or set_up or re.match(r"not run: \w", block.marker), where
+
+
+def test_the_set_up_commands_are_the_readmes():
+    assert [b.marker for b in blocks(ROOT / "README.md") if b.marker] == list(SET_UP)
+
+
+@pages
+def test_commands_exist(page):
+    for block in blocks(page):
+        if block.language != "bash" or block.marker in SET_UP:
+            continue
+        for words in block.commands():
+            check_extras(words)
+            arguments = msnet_arguments(words)
+            if arguments is None:
+                continue
+            command, rest = find_command(arguments)
+            if "--help" in rest:
+                continue
+            given = command.make_context(command.name, list(rest)).params  # parsed, not run
+            if "recipe" in given:
+                recipe = get_recipe(given["recipe"] or "procedural")
+                override(recipe, parse_assignments(given["assignments"] or []))
+
+
+@pages
+def test_commands_in_the_text_exist(page):
+    for code in inline_code(page):
+        if not code.startswith("msnet "):
+            continue
+        command, rest = find_command(shlex.split(code)[1:])
+        options = {name for parameter in command.params for name in parameter.opts} | {"--help"}
+        used = {word for word in rest if re.match(r"--?[a-z]", word)}
+        assert used <= options, f"{page.name}: `{code}`"
+
+
+@pages
+def test_python_blocks_import_what_exists(page):
+    for block in blocks(page):
+        if block.language != "python":
+            continue
+        for node in ast.walk(ast.parse(block.text, f"{page.name}:{block.line}")):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("mobilestereonet"):
+                module = importlib.import_module(node.module)
+                assert all(hasattr(module, alias.name) for alias in node.names)
+
+
+def _run_command(words, monkeypatch, capsys, where):
+    if words[:2] == ["pip", "install"]:
+        return
+    arguments = msnet_arguments(words)
+    assert arguments is not None, f"{where}: cannot run {words[0]}: mark the block"
+    monkeypatch.setattr(sys, "argv", ["msnet", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    printed = capsys.readouterr()
+    assert not ended.value.code, f"{where}: {shlex.join(words)}: {printed.out}{printed.err}"
+
+
+@pages
+def test_blocks_run(page, shared_files, tmp_path, monkeypatch, capsys):
+    if page.name in TESTED_ELSEWHERE:
+        pytest.skip(f"{TESTED_ELSEWHERE[page.name]} runs these commands")
+    shutil.copytree(shared_files, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": page.name}
+    for block in filter(lambda block: block.runs, blocks(page)):
+        where = f"{page.name}:{block.line}"
+        if block.language == "python":
+            exec(compile(block.text, where, "exec"), names)
+            continue
+        for words in block.commands():
+            _run_command(words, monkeypatch, capsys, where)

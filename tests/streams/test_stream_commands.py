@@ -1,0 +1,124 @@
+"""The commands video and batch, as a user runs them."""
+
+import os
+import re
+import signal
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from noise_pairs import centre, make_pair
+
+from mobilestereonet.cli.main import main
+from mobilestereonet.runtimes.sgbm import StereoSGBM
+
+
+@pytest.fixture
+def msnet(monkeypatch, capfd):
+    """Runs the command line; gives exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments), "--model", "sgbm"])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capfd.readouterr()
+
+    return run
+
+
+def tree(folder):
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
+def test_video_of_a_sequence_with_depth(msnet, sequence):
+    maps = sequence / "maps"
+    calibration = ("--focal", 100, "--baseline", 0.2)
+    views = sequence / "left", sequence / "right"
+    (sequence / "left" / "view_5.png").write_bytes(b"")
+    code, out, err = msnet("video", *views, "--frames", maps, *calibration)
+    assert code == 0
+    assert re.fullmatch(rf"{maps}: 10 frames, \d+\.\d\d per second\n1 broken .* skipped\n", out)
+    assert re.fullmatch(r"msnet: frame view_5 skipped: .*view_5.png: not an image.*\n", err)
+    depth = cv2.imread(str(maps / "view_0_depth.png"), -1)
+    assert np.median(centre(depth)) == pytest.approx(2000, rel=0.02)
+    assert len(list(maps.iterdir())) == 20
+
+
+def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypatch):
+    calls, match = [], StereoSGBM.__call__
+
+    def counted(self, left, right):
+        calls.append(1)
+        if len(calls) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return match(self, left, right)
+
+    monkeypatch.setattr(StereoSGBM, "__call__", counted)
+    before = signal.getsignal(signal.SIGINT)
+    command = "video", sequence / "left", sequence / "right", "--frames", sequence / "maps"
+    code, out, _ = msnet(*command)
+    finished = len(list((sequence / "maps").iterdir()))
+    assert code == 0
+    assert f"{finished} frames" in out
+    assert out.endswith("stopped; --resume goes on from here\n")
+    assert 1 <= finished < 11
+    assert signal.getsignal(signal.SIGINT) == before
+    calls[:] = [1] * 5
+    code, out, _ = msnet(*command, "--resume")
+    assert (code, len(calls) - 5) == (0, 11 - finished)
+    assert "11 frames" in out
+
+
+def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
+    command = "batch", sequence / "left", sequence / "right", "-o", sequence / "maps"
+    (sequence / "left" / "view_5.png").write_bytes(b"")
+    code, out, err = msnet(*command)
+    assert (code, out) == (1, f"{sequence / 'maps'}: 10 pairs matched, 0 kept, 1 failed\n")
+    assert re.fullmatch(r"msnet: view_5 skipped: .*view_5.png: not an image.*\n", err)
+    cv2.imwrite(str(sequence / "left" / "view_5.png"), make_pair(15, 5)[0][..., ::-1])
+    before = tree(sequence)
+    code, out, err = msnet(*command, "--skip-existing")
+    assert (code, err) == (0, "")
+    assert out == f"{sequence / 'maps'}: 1 pairs matched, 10 kept, 0 failed\n"
+    new = sequence / "maps" / "view_5_disparity.png"
+    assert {**before, new: new.read_bytes()} == tree(sequence)
+    assert np.median(centre(cv2.imread(str(new), -1) / 256)) == pytest.approx(15, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("video", "absent.mp4", "--frames", "new"), "absent.mp4: no such video"),
+        (("video", "left", "--frames", "new"), "left: an image sequence needs two folders"),
+        (("video", "left", "absent", "--frames", "new"), "absent: no such file, folder or"),
+        (("video", "left", "fewer", "--frames", "new"), "its right view .*view_9.png is missing"),
+        (("video", "fewer", "right", "--frames", "new"), "10 left views, but 11 right ones"),
+        (("video", "77", "--frames", "new"), "77: OpenCV cannot open this capture"),
+        (("video", "file://text.avi", "--frames", "new"), "text.avi: OpenCV cannot open"),
+        (("video", "left", "right"), "nothing to write"),
+        (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume .* need --frames"),
+        (("video", "left", "right", "-o", "v.gif"), "v.gif: videos are written as .mp4"),
+        (("video", "left", "right", "--frames", "new", "--focal", "9"), "both --focal and"),
+        (("video", "left", "right", "--frames", "text.avi/new"), "Not a directory"),
+        (("batch", "left", "-o", "new"), "left: no sequences/"),
+        (("batch", "left", "fewer", "-o", "new"), "its right view .*view_9.png is missing"),
+        (("batch", "left", "right", "-o", "new", "--write", "depth.png"), "depth needs --calib"),
+        (("batch", "left", "right", "-o", "new", "--write", "x.png"), r"got \['x.png'\]"),
+        (("batch", "left", "right", "-o", "text.avi"), "text.avi: no files can be written"),
+    ],
+)
+def test_bad_input_ends_with_one_line_and_writes_nothing(
+    msnet, sequence, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(sequence)
+    (sequence / "text.avi").write_text("no video\n")
+    (sequence / "fewer").mkdir()
+    for path in (sequence / "right").iterdir():
+        (sequence / "fewer" / path.name).write_bytes(path.read_bytes())
+    (sequence / "fewer" / "view_9.png").unlink()
+    before = tree(sequence)
+    code, out, err = msnet(*arguments)
+    assert (code, out) == (2, "")
+    assert re.fullmatch(rf"msnet: .*{message}.*\n", err)
+    assert tree(sequence) == before

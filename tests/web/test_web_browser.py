@@ -1,0 +1,282 @@
+"""The page end to end: `msnet web` in a process of its own, and Chromium with software WebGL.
+
+Skipped where gradio, playwright or Chromium is missing; MSNET_REQUIRE_BROWSER=1 forbids that.
+"""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+
+import cv2
+import numpy as np
+import pytest
+from skimage.data import stereo_motorcycle
+
+from mobilestereonet import Calibration, StereoMatcher
+from mobilestereonet.data.disparity_files import read_disparity_png
+from mobilestereonet.plots import colour_disparity
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+MISSING = [name for name in ("gradio", "playwright") if find_spec(name) is None]
+MISSING += [] if CHROMIUM else ["chromium"]
+REQUIRED = os.environ.get("MSNET_REQUIRE_BROWSER") == "1"
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING) and not REQUIRED, reason=f"not installed: {', '.join(MISSING)}"
+)
+
+PATIENCE = 90_000
+"""Milliseconds that the slowest step may take on a busy machine."""
+
+CALIBRATION = Calibration(focal=994.978 * 0.4, baseline=0.193001, doffs=31.086 * 0.4)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Motorcycle at two fifths of scikit-image's size, as files, and the server's folder."""
+    folder = tmp_path_factory.mktemp("browser")
+    for name, view in zip(("left", "right"), stereo_motorcycle()[:2], strict=True):
+        small = cv2.resize(view[..., ::-1], (296, 200), interpolation=cv2.INTER_AREA)
+        assert cv2.imwrite(str(folder / f"{name}.png"), small)
+    (folder / "broken.png").write_bytes((folder / "left.png").read_bytes()[:5000])
+    (folder / "text.png").write_text("no picture")
+    (folder / "server").mkdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected(folder):
+    matcher = StereoMatcher.from_pretrained(
+        runtime="torch", precision="fp32", threads=1, confidence=True
+    )
+    return matcher(folder / "left.png", folder / "right.png")
+
+
+@pytest.fixture(scope="module")
+def address(folder):
+    assert not MISSING, f"MSNET_REQUIRE_BROWSER is set, and {', '.join(MISSING)} is missing"
+    command = [sys.executable, "-m", "mobilestereonet", "web"]
+    options = ["--precision", "fp32", "--threads", "1"]
+    server = subprocess.Popen(
+        [*command, *options],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(folder / "server")},
+    )
+    try:
+        yield re.match(r"http://127\.0\.0\.1:\d+/", server.stdout.readline())[0]
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(30) == 0
+        assert list((folder / "server").glob("msnet-web-*")) == []
+    finally:
+        server.kill()
+        server.wait()
+
+
+@pytest.fixture(scope="module")
+def chromium(address):
+    from playwright.sync_api import sync_playwright
+
+    options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=[*options, "--enable-unsafe-swiftshader"]
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def visit(chromium, address):
+    """Opens the page; at the end, says whom the browser asked and what it complained of."""
+    pages = []
+
+    def open_page(width, height, **options):
+        page = chromium.new_page(viewport={"width": width, "height": height}, **options)
+        page.set_default_timeout(PATIENCE)
+        page.asked = set()
+        page.on("request", lambda request: page.asked.add(request.url))
+        page.on("pageerror", lambda error: pytest.fail(str(error)))
+        page.goto(address)
+        page.locator("#match").wait_for()
+        pages.append(page)
+        return page
+
+    yield open_page
+    for page in pages:
+        page.close()
+
+
+def choose(page, folder, left="left.png", right="right.png"):
+    for side, name in (("left", left), ("right", right)):
+        page.locator(f"#{side} input[type=file]").set_input_files(folder / name)
+        page.locator(f"#{side} img").wait_for()
+
+
+def fill_in(page, calibration):
+    for name in ("focal", "baseline", "doffs"):
+        page.locator(f"#{name} input").fill(str(getattr(calibration, name)))
+
+
+def match(page):
+    page.locator("#match").click()
+    page.locator("#facts", has_text="matched in").wait_for()
+
+
+def fetch(page, locator, attribute):
+    """The file that an element shows or links to, as the browser gets it."""
+    answer = page.request.get(locator.evaluate(f"element => element.{attribute}"))
+    assert answer.ok
+    return answer.body()
+
+
+def picture(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def sessions(folder):
+    return list((folder / "server").glob("msnet-web-*/sessions/*"))
+
+
+def test_from_the_upload_to_the_download(visit, folder, expected, tmp_path):
+    page = visit(1280, 900)
+    choose(page, folder)
+    fill_in(page, CALIBRATION)
+    match(page)
+    assert "msnet2d on torch (fp32), 296 x 200 px" in page.locator("#facts").inner_text()
+
+    # The pictures under the slider: the left view, and the disparity that `predict` gives.
+    shown = page.locator("#disparity img")
+    views = [picture(fetch(page, shown.nth(i), "src"))[..., ::-1] for i in range(2)]
+    colours = colour_disparity(expected.disparity)
+    by_match = sorted(views, key=lambda view: np.abs(view - colours.astype(float)).mean())
+    np.testing.assert_allclose(by_match[0].astype(float), colours, atol=2)
+    np.testing.assert_array_equal(by_match[1], expected.left)
+
+    # Downloads, as a click on the link saves them.
+    saved = {}
+    for kind in ("disparity.png", "disparity.pfm", "disparity.npy", "depth.npy", "points.ply"):
+        with page.expect_download() as waiting:
+            page.locator(f"#downloads a[download='stereo_{kind}']").click()
+        saved[kind] = tmp_path / kind
+        waiting.value.save_as(saved[kind])
+    np.testing.assert_allclose(np.load(saved["disparity.npy"]), expected.disparity, atol=1e-3)
+    levels, _ = read_disparity_png(saved["disparity.png"])
+    np.testing.assert_allclose(levels, expected.disparity, atol=1 / 512 + 1e-3)
+    depth = expected.depth(CALIBRATION)
+    np.testing.assert_allclose(np.load(saved["depth.npy"]), depth, rtol=1e-4)
+    assert saved["points.ply"].read_bytes().startswith(b"ply")
+
+    # The depth under the mouse.
+    page.evaluate("scrollTo(0, 0)")
+    page.wait_for_function("scrollY === 0")
+    box = shown.first.bounding_box()
+    for column, row in ((40, 150), (250, 60)):
+        page.mouse.move(
+            box["x"] + (column + 0.5) / 296 * box["width"],
+            box["y"] + (row + 0.5) / 200 * box["height"],
+        )
+        page.locator("#readout", has_text=f"column {column}, row {row} ").wait_for()
+        text = page.locator("#readout").inner_text()
+        assert float(re.search(r"disparity ([\d.]+) px", text)[1]) == pytest.approx(
+            expected.disparity[row, column], abs=0.01
+        )
+        assert float(re.search(r"depth ([\d.]+) m", text)[1]) == pytest.approx(
+            depth[row, column], rel=2e-3
+        )
+
+    # The confidence.
+    page.get_by_role("tab", name="Confidence").click()
+    sure = picture(fetch(page, page.locator("#confidence img"), "src"))
+    np.testing.assert_allclose(sure / 255, expected.confidence, atol=0.01)
+
+    turn_the_cloud(page)
+    hosts = {url.split("/")[2] for url in page.asked if url.startswith(("http", "ws"))}
+    assert hosts == {page.url.split("/")[2]}
+
+
+def turn_the_cloud(page):
+    page.get_by_role("tab", name="3D").click()
+    canvas = page.locator("#cloud canvas")
+    canvas.wait_for()
+
+    def look():
+        return picture(canvas.screenshot())[..., :3].astype(float)
+
+    ended = time.monotonic() + PATIENCE / 1000
+    while look().std() < 5:  # the model is still on its way
+        assert time.monotonic() < ended, "the cloud stays empty"
+        page.wait_for_timeout(500)
+    page.wait_for_timeout(2000)  # the camera moves into its place
+    before, still = look(), look()
+    box = canvas.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 120, y + 30, steps=10)
+    page.mouse.up()
+    page.wait_for_timeout(1000)
+    moved = np.abs(look() - before).mean()
+    assert moved > 1 + 5 * np.abs(still - before).mean()
+
+
+def test_bad_input_is_one_line_on_the_page(visit, folder):
+    page = visit(1280, 900)
+
+    def expect_error(words):
+        toast = page.locator(".toast-body", has_text=words)
+        toast.wait_for()
+        toast.locator(".toast-close").click()
+        toast.wait_for(state="detached")
+
+    page.locator("#match").click()
+    expect_error("there is no left picture")
+    page.locator("#left input[type=file]").set_input_files(folder / "text.png")
+    expect_error("this is no PNG, JPEG, WebP or BMP picture")
+    page.locator("#left input[type=file]").wait_for(state="attached")  # it is empty again
+    choose(page, folder, right="broken.png")
+    page.locator("#match").click()
+    expect_error("right picture: not an image")
+    page.locator("#right button[aria-label='Remove Image']").click()
+    choose_right = page.locator("#right input[type=file]")
+    choose_right.set_input_files(folder / "right.png")
+    page.locator("#right img").wait_for()
+    page.locator("#focal input").fill("400")
+    page.locator("#match").click()
+    expect_error("the baseline is 0 or missing")
+    page.locator("#baseline input").fill("0.2")
+    match(page)
+
+
+def test_a_phone_and_an_example(visit, folder):
+    page = visit(390, 844, has_touch=True, is_mobile=True)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.locator("#examples img").nth(1).tap()
+    page.wait_for_function(
+        "Math.abs(document.querySelector('#facts').getBoundingClientRect().top) < innerHeight / 2"
+    )
+    page.locator("#facts", has_text="matched in").wait_for()
+    shown = page.locator("#disparity img").first
+    shown.scroll_into_view_if_needed()
+    page.locator("#readout", has_text="tap it").wait_for()
+    shown.tap(position={"x": 30, "y": 60}, force=True)
+    page.locator("#readout", has_text=re.compile(r"depth [\d.]+ m")).wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_files_go_when_the_visitor_does(visit, folder):
+    page = visit(1280, 900)
+    before = set(sessions(folder))
+    choose(page, folder)
+    mine = set(sessions(folder)) - before
+    assert len(mine) == 1
+    page.close()
+    ended = time.monotonic() + 30
+    while any(path.exists() for path in mine):
+        assert time.monotonic() < ended, "the session's folder is still there"
+        time.sleep(0.2)

@@ -1,0 +1,227 @@
+"""The page's server: what it gives, and above all what it does not."""
+
+import json
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
+from mobilestereonet.web.uploads import Limits
+
+gr = pytest.importorskip("gradio")
+
+from mobilestereonet.web.page import Handlers, Offer  # noqa: E402
+from mobilestereonet.web.server import running  # noqa: E402
+
+PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
+VISITOR = SimpleNamespace(session_hash="someone")
+
+
+def make_matcher(model, runtime):
+    if runtime == "missing":
+        raise InputError("missing is not installed: <b>install it</b>")
+    torch.manual_seed(0)
+    return StereoMatcher(create_model(model, max_disparity=32), confidence=True)
+
+
+@pytest.fixture(scope="module")
+def offer():
+    views = torch.rand(2, 3, 32, 48, generator=torch.Generator().manual_seed(0))
+    example = StereoSample(*views, calibration=Calibration(50, 0.2, 1), name="Noise")
+    return Offer(["msnet2d"], ["torch", "missing"], make_matcher, [example], Limits(megabytes=1))
+
+
+@pytest.fixture(scope="module")
+def address(offer):
+    with running(offer) as address:
+        yield address.rstrip("/")
+
+
+def get(url, data=None, headers=None):
+    """Status, headers and body, errors included."""
+    try:
+        with urlopen(Request(url, data, headers or {}), timeout=20) as answer:
+            return answer.status, answer.headers, answer.read()
+    except HTTPError as error:
+        return error.code, error.headers, error.read()
+
+
+def upload(address, content, name="picture.png"):
+    body = (
+        f'--X\r\nContent-Disposition: form-data; name="files"; filename="{name}"\r\n'
+        "Content-Type: image/png\r\n\r\n"
+    ).encode()
+    headers = {"Content-Type": "multipart/form-data; boundary=X"}
+    return get(f"{address}/gradio_api/upload", body + bytes(content) + b"\r\n--X--\r\n", headers)
+
+
+def files_below(folder):
+    return [path for path in Path(folder).rglob("*") if path.is_file()]
+
+
+def test_the_page_is_on_loopback_and_asks_nobody_else(address):
+    assert address.startswith("http://127.0.0.1:")
+    status, headers, page = get(address)
+    assert status == 200
+    assert b"Depth from two pictures" in page
+    assert "default-src 'self'" in headers["Content-Security-Policy"]
+    config = json.loads(get(f"{address}/config")[2])
+    assert config["analytics_enabled"] is False
+    assert b"fonts.googleapis" not in get(f"{address}/theme.css")[2]
+
+
+def test_no_file_of_the_server_can_be_read(address):
+    here = Path(__file__).resolve()
+    root = Path(os.environ["GRADIO_TEMP_DIR"])
+    # The same request for a file that may be read: a thumbnail of the examples.
+    assert get(f"{address}/gradio_api/file={files_below(root)[0]}")[0] == 200
+    for path in (
+        "/etc/passwd",
+        here,
+        here.parents[2] / "pyproject.toml",
+        f"{root}/../../etc/passwd",
+        f"{root}/%2e%2e/%2e%2e/etc/passwd",
+        "../../../../etc/passwd",
+        "file:///etc/passwd",
+        Path.cwd() / "README.md",
+        root,
+    ):
+        for route in ("gradio_api/file=", "file=", "gradio_api/file/", "static/", "assets/"):
+            status, _, body = get(f"{address}/{route}{path}")
+            assert status in (403, 404), (route, path)
+            assert b"root:" not in body
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "file=http://127.0.0.1:1/x.png",
+        "file=https://example.org/x.png",
+        "proxy=https://example.org/x.png",
+        "deep_link?session_hash=x",
+        "process_recording",
+    ],
+)
+def test_unused_doors_are_shut(address, path):
+    status, _, body = get(f"{address}/gradio_api/{path}")
+    assert (status, body) == (404, b"not here")
+
+
+def test_uploads_have_a_limit_and_a_place(address):
+    root = Path(os.environ["GRADIO_TEMP_DIR"])
+    before = set(files_below(root))
+    assert upload(address, bytes(2**20 + 1000))[0] == 413
+    assert set(files_below(root)) == before
+    for name in ("../../evil.png", "/etc/evil.png", "..\\evil.png"):
+        status, _, body = upload(address, PICTURE, name)
+        assert status == 200
+        assert Path(json.loads(body)[0]).resolve().parent.parent == root.resolve()
+    assert not list(root.parent.glob("evil*"))
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("/etc/passwd", None),
+        (str(Path(__file__)), None),
+        ("https://example.org/x.png", "upload the picture itself"),
+    ],
+)
+def test_an_upload_event_takes_no_other_path(address, path, words):
+    config = json.loads(get(f"{address}/config")[2])
+    index = next(item["id"] for item in config["dependencies"] if item["targets"][0][1] == "upload")
+    body = {
+        "data": [{"path": path, "meta": {"_type": "gradio.FileData"}}],
+        "fn_index": index,
+        "session_hash": "intruder",
+    }
+    headers = {"Content-Type": "application/json"}
+    assert get(f"{address}/gradio_api/queue/join", json.dumps(body).encode(), headers)[0] == 200
+    url = f"{address}/gradio_api/queue/data?session_hash=intruder"
+    with urlopen(url, timeout=20) as stream:
+        for line in stream:
+            if b"process_completed" in line:
+                break
+    message = json.loads(line.removeprefix(b"data: "))
+    assert message["success"] is False
+    assert message["output"]["error"] == words  # None: gradio's own refusal, not told
+
+
+def test_the_folder_goes_with_the_server(offer, monkeypatch, tmp_path):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setenv("GRADIO_TEMP_DIR", "before")
+    with running(offer) as address:
+        assert upload(address.rstrip("/"), PICTURE)[0] == 200
+        assert files_below(tmp_path)
+        assert all(folder.stat().st_mode & 0o077 == 0 for folder in tmp_path.glob("msnet-web-*"))
+    assert files_below(tmp_path) == []
+    assert os.environ["GRADIO_TEMP_DIR"] == "before"
+
+
+@pytest.fixture
+def act(offer, tmp_path):
+    return Handlers(offer, tmp_path)
+
+
+def put(folder, content, name="picture.png"):
+    path = folder / "a1b2" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content)
+    return {"path": str(path)}
+
+
+def match(act, runtime="torch", focal=50.0, baseline=0.2):
+    return act.match("msnet2d", runtime, focal, baseline, 0, 0, 0.0, VISITOR)
+
+
+def test_handlers_from_the_upload_to_the_cloud(act, tmp_path):
+    for side in ("left", "right"):
+        path = act.taking(side)(put(tmp_path, PICTURE), VISITOR)
+        assert Path(path).read_bytes() == PICTURE.tobytes()
+    facts, pictures, readings, *_ = match(act)
+    assert "48 x 32 px" in facts
+    assert all(Path(path).is_file() for path in pictures)
+    assert readings["depth"] == pytest.approx(10)
+    assert Path(act.cloud(VISITOR)).suffix == ".glb"
+    act.dropping("right")(VISITOR)
+    with pytest.raises(gr.Error, match="there is no right picture"):
+        match(act)
+    act.leave(VISITOR)
+    assert files_below(tmp_path) == []
+
+
+def test_an_example_fills_everything_in(act, offer):
+    left, right, *numbers = act.take_example(SimpleNamespace(index=0), VISITOR)
+    assert Path(left).is_file()
+    assert Path(right).is_file()
+    assert numbers == [50, 0.2, 1]
+    assert match(act, focal=numbers[0], baseline=numbers[1])
+
+
+@pytest.mark.parametrize(
+    "payload", [None, {}, {"path": None}, {"path": "/etc/passwd"}, {"path": "../../x"}]
+)
+def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
+    with pytest.raises(gr.Error, match="the upload is not there"):
+        act.taking("left")(payload, VISITOR)
+    assert files_below(tmp_path) == []
+
+
+def test_errors_are_one_line_on_the_page(act, tmp_path):
+    with pytest.raises(gr.Error, match="no PNG, JPEG"):
+        act.taking("left")(put(tmp_path, b"text"), VISITOR)
+    with pytest.raises(gr.Error, match="there is no left picture"):
+        match(act)
+    act.take_example(SimpleNamespace(index=0), VISITOR)
+    with pytest.raises(gr.Error, match="the baseline is 0 or missing"):
+        match(act, baseline=0.0)
+    with pytest.raises(gr.Error, match="&lt;b&gt;install it"):
+        match(act, runtime="missing")
