@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
 
 
 def batch(
@@ -42,13 +42,8 @@ def batch(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
-    model: Annotated[
-        str | None,
-        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "auto",
     threads: Threads = None,

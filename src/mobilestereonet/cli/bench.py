@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Threads
+from mobilestereonet.cli.engine import Device, Model, Threads, Weights
 
 
 def bench(
-    model: Annotated[
-        str | None, typer.Option(help="Network. Default: msnet2d, or what the weights hold.")
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     size: Annotated[tuple[int, int], typer.Option(help="Height and width, multiples of 16.")] = (
         256,
         512,

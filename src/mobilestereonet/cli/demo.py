@@ -7,20 +7,15 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
 
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path(
         "demo"
     ),
-    model: Annotated[
-        str | None,
-        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "auto",
     threads: Threads = None,

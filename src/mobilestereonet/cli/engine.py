@@ -1,11 +1,22 @@
-"""The engine as options of a command."""
+"""The network and its engine as options of a command."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
+Model: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Network; sgbm, too, where pairs are matched. Default: msnet2d, or what the "
+        "weights hold."
+    ),
+]
+Weights: TypeAlias = Annotated[
+    Path | None, typer.Option(help="Weights file, ours or the authors'.")
+]
 Runtime: TypeAlias = Annotated[
     str,
     typer.Option(help="Engine: auto (which is torch), torch, onnxruntime, openvino."),

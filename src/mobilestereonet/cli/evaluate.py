@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads, Weights
 
 
 def evaluate(
@@ -19,9 +19,7 @@ def evaluate(
             help="Network, or sgbm. Repeat for more. Default: msnet2d, or what the weights hold."
         ),
     ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "fp32",
     threads: Threads = None,

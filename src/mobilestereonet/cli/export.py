@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.engine import Model, Weights
 from mobilestereonet.errors import InputError
 
 _SIZE = (256, 512)
@@ -17,12 +18,8 @@ def export(
     format_: Annotated[
         str | None, typer.Argument(metavar="FORMAT", help="What to write; --list shows them.")
     ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="Network. Default: msnet2d, or what the weights hold.")
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="File to write. Default: the model's."),

@@ -8,20 +8,15 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
 
 
 def predict(
     left: Annotated[Path, typer.Argument(help="Left view of a rectified pair.")],
     right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
-    model: Annotated[
-        str | None,
-        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "auto",
     threads: Threads = None,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
 
 
 def submit(
@@ -16,13 +16,8 @@ def submit(
     ],
     root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],
-    model: Annotated[
-        str | None,
-        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "fp32",
     threads: Threads = None,

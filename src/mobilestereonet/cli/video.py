@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads
+from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
 
 
 def video(
@@ -44,13 +44,8 @@ def video(
     fps: Annotated[
         float, typer.Option(min=0.01, help="Frames per second of an image sequence.")
     ] = 10.0,
-    model: Annotated[
-        str | None,
-        typer.Option(help="Network, or sgbm. Default: msnet2d, or what the weights hold."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights file, ours or the authors'.")
-    ] = None,
+    model: Model = None,
+    weights: Weights = None,
     runtime: Runtime = "auto",
     precision: Precision = "auto",
     threads: Threads = None,

@@ -196,7 +196,7 @@ def train(
             val_check_interval=recipe.val_every,
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
-            log_every_n_steps=10,
+            log_every_n_steps=min(10, steps),
             use_distributed_sampler=False,
             enable_progress_bar=progress,
             enable_model_summary=False,
