@@ -26,7 +26,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +79,12 @@ class Case:
 
     def net(self) -> StereoNet:
         torch.manual_seed(0)
-        if self.model in embedded_models() and self.max_disparity == 192:
-            return load_pretrained(self.model)
-        return create_model(self.model, max_disparity=self.max_disparity).eval()
+        if self.model not in embedded_models() or self.max_disparity != 192:
+            return create_model(self.model, max_disparity=self.max_disparity).eval()
+        net = load_pretrained(self.model)
+        # As the authors estimate, for the differences; "mode" takes some percent more time.
+        net.config = replace(net.config, estimator="mean")
+        return net
 
     def views(self) -> tuple[Tensor, Tensor]:
         pair = motorcycle()

@@ -58,6 +58,8 @@ app.add_typer(data)
 def main() -> None:
     """Run the command line; bad input ends with one line on stderr and exit code 2."""
     # Users want the words, not the line of code that says them.
+    for developers_business in (DeprecationWarning, FutureWarning):
+        warnings.simplefilter("ignore", developers_business)
     warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
     try:
         app()

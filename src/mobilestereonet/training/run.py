@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import warnings
 from dataclasses import replace
@@ -181,6 +182,9 @@ def train(
     cuda = accelerator != "cpu" and torch.cuda.is_available()
     average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
     make_folder(folder)
+    # Lightning recommends a product with every run.
+    rank_zero = logging.getLogger("lightning.pytorch.utilities.rank_zero")
+    rank_zero.addFilter(_is_no_advertisement)
     try:
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every), TimeLimit(max_time)]
         callbacks += [average] if average else []
@@ -226,6 +230,10 @@ def train(
     if trainer.is_global_zero:
         save_weights(module.net, folder / "weights.safetensors")
     return module
+
+
+def _is_no_advertisement(record: logging.LogRecord) -> bool:
+    return "litlogger" not in record.getMessage()
 
 
 def _load_initial(module: StereoModule, path: Path) -> None:
