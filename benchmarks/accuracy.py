@@ -52,6 +52,17 @@ def scenes(count: int) -> Iterable[StereoSample]:
     return ProceduralScenes(SceneConfig(seed=SCENE_SEED, length=count))
 
 
+def matchers(weights: Iterable[Path]) -> dict[str, StereoMatcher]:
+    """StereoSGBM, every embedded network, and networks of weights files, by their names."""
+    exact = {"runtime": "torch", "precision": "fp32"}
+    found = {"sgbm": StereoMatcher.from_pretrained("sgbm")}
+    for name in embedded_models():
+        found[name] = StereoMatcher.from_pretrained(name, **exact)
+    for path in weights:
+        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **exact)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
@@ -60,18 +71,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
 
-    exact = {"runtime": "torch", "precision": "fp32"}
-    matchers = {"sgbm": StereoMatcher.from_pretrained("sgbm")}
-    for name in embedded_models():
-        matchers[name] = StereoMatcher.from_pretrained(name, **exact)
-    for path in arguments.weights:
-        matchers[path.stem] = StereoMatcher.from_pretrained(weights=path, **exact)
     sets = list(real_and_synthetic(arguments.root))
     if arguments.scenes:
         sets.append(("procedural", scenes(arguments.scenes)))
 
     records = []
-    for model, matcher in matchers.items():
+    found = matchers(arguments.weights)
+    for model, matcher in found.items():
         for name, samples in sets:
             groups = [(name, samples)]
             if name != "procedural":
@@ -82,7 +88,7 @@ def main() -> None:
                 record = {"model": model, "set": name, "pair": title, **figures}
                 records.append(record | {"seconds": result.seconds_per_image})
     Console(width=110).print(table(records))
-    for model in matchers:
+    for model in found:
         print(summary(model, [record for record in records if record["model"] == model]))
     if arguments.json:
         arguments.json.write_text(json.dumps(records, indent=2) + "\n")
