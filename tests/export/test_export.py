@@ -74,9 +74,17 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
+def replace_estimator(net, estimator):
+    other = create_model("msnet2d", **SMALL, estimator=estimator).eval()
+    other.load_state_dict(net.state_dict())
+    return other
+
+
 @pytest.mark.parametrize("name", ["onnx", "openvino"])
 def test_int8_stays_near(name, net, tmp_path):
     needs(name, precision="int8")
+    # Of a network without training the likeliest neighbourhood is anybody's guess.
+    net = replace_estimator(net, "mean")
     folder = tmp_path / "pairs"
     write_pairs(folder)
     output = tmp_path / f"small{FORMATS[name].ending}"

@@ -1,5 +1,6 @@
 """Engines of converted networks: PyTorch's result, at any size, from a cache the second time."""
 
+import os
 import threading
 
 import pytest
@@ -9,9 +10,10 @@ from torch import nn
 from mobilestereonet import InputError, create_model
 from mobilestereonet.runtimes.base import ConfidentRuntime
 from mobilestereonet.runtimes.choose import RUNTIMES, open_runtime
+from mobilestereonet.runtimes.converted import _checksum, _forget_old
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
 from mobilestereonet.runtimes.openvino import OpenVINORuntime
-from mobilestereonet.runtimes.torch import TorchRuntime
+from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 ENGINES = [
@@ -79,12 +81,12 @@ def test_conversions_are_kept_and_made_again_when_one_is_damaged_or_not_to_be_ha
     net, pair = small(), views(32, 64)
     expected = engine(net, cache=tmp_path)(*pair)
     (cached,) = tmp_path.iterdir()
-    whole = cached.read_bytes()
+    model = engine(net, cache=tmp_path)._convert(net)
     conversions = []
 
     def convert(self, net):
         conversions.append(net)
-        return whole
+        return model
 
     monkeypatch.setattr(engine, "_convert", convert)
 
@@ -93,18 +95,22 @@ def test_conversions_are_kept_and_made_again_when_one_is_damaged_or_not_to_be_ha
         assert len(conversions) == count
 
     check(0)
-    cached.write_bytes(whole[: len(whole) // 2])
-    check(1)
-    assert cached.read_bytes() == whole
-    check(1)
+    kept = cached.read_bytes()
+    flipped = bytearray(kept)
+    flipped[len(kept) // 2] ^= 1
+    for count, damaged in enumerate((kept[: len(kept) // 2], bytes(flipped), b""), start=1):
+        cached.write_bytes(damaged)
+        check(count)
+        assert cached.read_bytes() == _checksum(model) + model
+        check(count)
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
-    check(2, blocked / "cache")
+    check(4, blocked / "cache")
     # Other weights, another file.
     with torch.no_grad():
         next(net.parameters()).mul_(2)
     engine(net, cache=tmp_path)
-    assert len(conversions) == 3
+    assert len(conversions) == 5
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -135,7 +141,11 @@ def test_openvino_computes_in_the_precision_that_is_asked_for(cache):
         OpenVINORuntime(net, precision=precision, cache=cache)(left, right)
         for precision in ("fp32", "bf16")
     )
+    with torch.no_grad():
+        assert (full - net(left, right)).abs().max() < 1e-3
     assert (full - half).abs().mean() < 1
+    if has_bfloat16():
+        assert (full - half).abs().max() > 1e-4
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -173,10 +183,32 @@ def test_auto_precision_is_bf16_where_the_processor_has_it(has, monkeypatch):
         ({"name": "torch", "device": "toaster"}, "unknown device 'toaster'"),
         ({"name": "torch", "precision": "fp16", "device": "cpu"}, "precision must be one of"),
         ({"name": "torch", "device": "cuda:0"}, "PyTorch finds no GPU here: use cpu"),
-        ({"name": "onnxruntime", "device": "meta"}, "onnxruntime runs on the cpu"),
+        ({"name": "torch", "device": "meta"}, "unknown device 'meta'"),
     ],
 )
 def test_a_choice_that_cannot_be_had_is_refused(options, message, monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
     with pytest.raises(InputError, match=message):
         open_runtime(net=small(), **options)
+
+
+def test_engines_keep_the_network_as_it_was(cache):
+    net = small()
+    engine = ONNXRuntime(net, cache=cache) if ONNXRuntime.installed() else TorchRuntime(net)
+    pair = views(16, 32)  # through PyTorch
+    before = engine(*pair)
+    with torch.no_grad():
+        for weight in net.parameters():
+            weight.mul_(2)
+    assert engine(*pair).equal(before)
+
+
+def test_only_some_conversions_are_kept(tmp_path):
+    for index in range(10):
+        file = tmp_path / f"openvino-{index}"
+        file.write_bytes(b"")
+        os.utime(file, (index, index))
+    _forget_old(tmp_path, "openvino")
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        f"openvino-{i}" for i in range(2, 10)
+    ]

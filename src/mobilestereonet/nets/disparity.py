@@ -81,6 +81,8 @@ def _of_mode(m: _Moments) -> _Moments:
 def mode_mask(mass: Tensor, left_end: Tensor, right_end: Tensor) -> Tensor:
     """What the estimator "mode" looks at: 1 there, 0 elsewhere. Plain operators only.
 
+    Of neighbourhoods that are exactly as likely it looks at all.
+
     Args:
         mass: Sums over the intervals' fine terms, (B, D - 1, H, W).
         left_end: Sum over the two fine bins before them, (B, H, W).
@@ -166,6 +168,8 @@ _CACHED = 1 << 17
 
 
 def _cached_rows(scores: Tensor) -> int:
+    if scores.is_cuda:
+        return scores.shape[2]
     return max(1, _CACHED // (scores.shape[1] * scores.shape[3]))
 
 
@@ -181,7 +185,8 @@ def regress_disparity(scores: Tensor, estimator: Estimator = "mean") -> Tensor:
     """
     if scores.dtype in (torch.float16, torch.bfloat16):
         scores = scores.float()
-    if torch.compiler.is_compiling():  # one graph for all sizes, which the engine divides itself
+    # One graph for all sizes, which the engine divides itself; and on a GPU few large kernels.
+    if torch.compiler.is_compiling() or (scores.is_cuda and not scores.requires_grad):
         return soft_argmax(_upsample(scores), estimator)
     if scores.requires_grad:
         fine = _upsample(scores)

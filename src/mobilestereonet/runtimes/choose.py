@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import torch
@@ -73,18 +74,18 @@ def check_device(name: str, device: str) -> str:
     if device == AUTO:
         may_be_torch = name in (AUTO, TorchRuntime.name)
         return "cuda" if may_be_torch and torch.cuda.is_available() else "cpu"
-    try:
-        kind = torch.device(device).type
-    except RuntimeError:
-        raise InputError(f"unknown device {device!r}: cpu, cuda and cuda:0 are such") from None
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"device {device!r}: PyTorch finds no GPU here: use cpu")
-    if name in _CONVERTED and kind != "cpu":
+    if device != "cpu" and not re.fullmatch(r"cuda(:\d+)?", device):
+        raise InputError(f"unknown device {device!r}: cpu, cuda and cuda:0 are such")
+    if device != "cpu" and (torch.device(device).index or 0) >= torch.cuda.device_count():
+        found = torch.cuda.device_count() or "no"
+        raise InputError(f"device {device!r}: PyTorch finds {found} GPU here: use cpu")
+    if name in _CONVERTED and device != "cpu":
         raise InputError(f"{name} runs on the cpu, not on {device!r}: use runtime torch there")
     return device
 
 
 def _has_bfloat16(device: str) -> bool:
-    if torch.device(device).type == "cuda":
+    if device == "cpu":
+        return has_bfloat16()
+    with torch.cuda.device(device):
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    return has_bfloat16()

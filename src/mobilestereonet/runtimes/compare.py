@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from mobilestereonet.nets import StereoNet
 from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
 from mobilestereonet.runtimes.openvino import OpenVINORuntime
-from mobilestereonet.runtimes.torch import use_threads
+from mobilestereonet.runtimes.torch import has_bfloat16, use_threads
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def installed_engines(device: str) -> list[tuple[str, str]]:
     """Engines and precisions that can be had on a device."""
     if torch.device(device).type != "cpu":
         return [("torch", precision) for precision in ("fp32", "bf16", "fp16")]
-    engines = [("torch", "fp32"), ("torch", "bf16")]
+    engines = [("torch", "fp32")] + [("torch", "bf16")] * has_bfloat16()
     for engine in (ONNXRuntime, OpenVINORuntime):
         if engine.installed():
             engines += [(engine.name, precision) for precision in engine.precisions]
@@ -71,7 +72,8 @@ def compare_engines(
     Returns:
         "eager" in fp32, then the engines in their order.
     """
-    runs: list[Callable[[], Tensor]] = [_eager(net, left, right, device, threads)]
+    left, right = left.to(device), right.to(device)
+    runs: list[Callable[[], Tensor]] = [_eager(net, left, right, threads)]
     for name, precision in engines:
         engine = open_runtime(name, net, precision=precision, device=device, threads=threads)
         runs.append(lambda engine=engine: engine(left, right).cpu())  # type: ignore[misc]
@@ -92,14 +94,13 @@ def compare_engines(
 
 
 def _eager(
-    net: StereoNet, left: Tensor, right: Tensor, device: str, threads: int | None
+    net: StereoNet, left: Tensor, right: Tensor, threads: int | None
 ) -> Callable[[], Tensor]:
-    net = net.to(device)
-    views = left.to(device), right.to(device)
+    net = copy.deepcopy(net).to(left.device)
 
     def run() -> Tensor:
         with torch.inference_mode(), use_threads(threads):
-            disparity: Tensor = net(*views)
+            disparity: Tensor = net(left, right)
         return disparity.cpu()
 
     return run

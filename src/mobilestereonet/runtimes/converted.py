@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
-import inspect
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
-from importlib.metadata import version
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,12 +19,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet import nets, runtimes
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
 from mobilestereonet.nets.confidence import match_confidence
 from mobilestereonet.nets.disparity import regress_disparity
-from mobilestereonet.runtimes import graph, planewise
 from mobilestereonet.runtimes.graph import narrowest
 from mobilestereonet.runtimes.optimise import optimise
 from mobilestereonet.runtimes.torch import use_threads
@@ -43,11 +43,13 @@ class ConvertedRuntime(ABC):
     Attributes:
         name: What the command line calls the engine, and its package.
         extra: The extra of this package that installs it.
+        packages: What it needs, by the names of their modules.
         precisions: What it can compute in.
     """
 
     name: ClassVar[str]
     extra: ClassVar[str]
+    packages: ClassVar[tuple[str, ...]]
     precisions: ClassVar[tuple[str, ...]]
     normalised = True
     multiple = SIZE_MULTIPLE
@@ -86,13 +88,13 @@ class ConvertedRuntime(ABC):
         self.precision = precision
         self.threads = threads
         self.max_disparity = net.config.max_disparity
-        self._net = net
+        self._net = copy.deepcopy(net).cpu().float().eval()
         self._scores = self._open(_default_cache() if cache is None else Path(cache))
 
     @classmethod
     def installed(cls) -> bool:
-        """Whether the engine's package is there."""
-        return find_spec(cls.name) is not None
+        """Whether the packages that it needs are there."""
+        return all(find_spec(package) is not None for package in cls.packages)
 
     def __call__(self, left: Tensor, right: Tensor) -> Tensor:
         """Match the views, one pair after the other.
@@ -152,23 +154,26 @@ class ConvertedRuntime(ABC):
 
     def _open(self, cache: Path) -> Scores:
         path = cache / f"{self.name}-{self._key()}"
-        # Whatever is wrong with a cached file, the cure is a new one.
-        with suppress(Exception):
-            return self._load(path.read_bytes())
+        with suppress(OSError):
+            checksum, model = _split(path.read_bytes())
+            if checksum == _checksum(model):
+                return self._load(model)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the converters' own business
             model = self._convert(self._net)
         with suppress(OSError):
-            write_atomically(path, lambda file: file.write_bytes(model))
+            write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
+            _forget_old(cache, self.name)
         return self._load(model)
 
     def _key(self) -> str:
         """Tells all that a conversion depends on: weights, code, versions, precision, machine."""
-        packages = ("mobilestereonet", "torch", self.name)
-        facts = (self._net.config, self.precision, self._machine(), *map(version, packages))
+        versions = [import_module(name).__version__ for name in ("torch", *self.packages)]
+        facts = (self._net.config, self.precision, self._machine(), versions)
         digest = hashlib.sha256(repr(facts).encode())
-        for module in (graph, planewise):
-            digest.update(inspect.getsource(module).encode())
+        for room in (nets, runtimes):
+            for path in sorted(Path(room.__path__[0]).glob("*.py")):
+                digest.update(path.read_bytes())
         for name, tensor in self._net.state_dict().items():
             digest.update(name.encode())
             digest.update(tensor.cpu().reshape(-1).view(torch.uint8).numpy())
@@ -185,6 +190,24 @@ class ConvertedRuntime(ABC):
     @abstractmethod
     def _load(self, model: bytes) -> Scores:
         """Make the engine ready for what `_convert` gave."""
+
+
+_KEPT = 8
+"""Conversions of an engine that stay in the cache: those of a few networks and precisions."""
+
+
+def _forget_old(cache: Path, engine: str) -> None:
+    files = sorted(cache.glob(f"{engine}-*"), key=lambda file: file.stat().st_mtime)
+    for file in files[:-_KEPT]:
+        file.unlink()
+
+
+def _checksum(model: bytes) -> bytes:
+    return hashlib.sha256(model).digest()
+
+
+def _split(content: bytes) -> tuple[bytes, bytes]:
+    return content[:32], content[32:]
 
 
 def _default_cache() -> Path:

@@ -87,8 +87,10 @@ class Graph(nn.Module):
             scores = self.aggregation(torch.cat(blocks)).unsqueeze(0)
         else:
             volume = torch.cat([block.transpose(0, 1) for block in blocks], dim=1)  # (C, D, H, W)
-            planar = self.dims == 2
-            volume = torch.cat(volume.split(1), dim=1) if planar else volume.unsqueeze(0)
+            if self.dims == 3:
+                volume = volume.unsqueeze(0)
+            elif len(volume) > 1:
+                volume = torch.cat(volume.split(1), dim=1)
             scores = self.aggregation(volume)
         return soft_argmax_by_powers(scores, self.estimator) if self.head else scores
 

@@ -53,6 +53,7 @@ class ONNXRuntime(ConvertedRuntime):
 
     name = "onnxruntime"
     extra = "onnx"
+    packages = ("onnxruntime", "onnx", "onnxscript")
     precisions = ("fp32",)
 
     def _convert(self, net: StereoNet) -> bytes:

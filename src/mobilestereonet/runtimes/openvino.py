@@ -41,6 +41,7 @@ class OpenVINORuntime(ConvertedRuntime):
 
     name = "openvino"
     extra = "openvino"
+    packages = ("openvino",)
     precisions = ("fp32", "bf16")
 
     def _machine(self) -> object:

@@ -18,9 +18,9 @@ class Muon(torch.optim.Adam):
     """Muon for kernels that mix channels, Adam for depthwise kernels, norms and biases.
 
     Muon (Jordan et al., 2024) moves a matrix by its momentum, made orthogonal: all directions are
-    learnt at one pace, not the few strong ones first. A kernel is a matrix with one row per output
-    channel. Updates are scaled to those of Adam (Liu et al., 2025), so that one learning rate does
-    for both. (PyTorch's own Muon takes parameters of two dimensions only.)
+    learnt at one pace, not the few strong ones first. A kernel is a matrix with one row per entry
+    of its first dimension. Updates are scaled to those of Adam (Liu et al., 2025), so that one
+    learning rate does for both. (PyTorch's own Muon takes parameters of two dimensions only.)
 
     Args:
         parameters: Parameters of a network.

@@ -96,6 +96,8 @@ class Recipe:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
         if self.optimizer not in ("adam", "muon"):
             raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
+        if self.estimator not in ("mean", "mode"):
+            raise InputError(f"recipe: estimator must be mean or mode, got {self.estimator!r}")
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
         if not 0 <= self.seed < 1 << 32:
