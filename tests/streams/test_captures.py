@@ -11,7 +11,7 @@ from noise_pairs import make_pair
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, captures, match_video, open_stream
-from mobilestereonet.streams.stream import make_frame
+from mobilestereonet.streams.stream import check_sizes, make_frame
 
 
 def joined(count):
@@ -57,7 +57,9 @@ def test_a_live_capture_does_not_wait(write_capture, monkeypatch, matcher, tmp_p
             reported.append(frame.index)
             time.sleep(0.05)
 
-        tally = match_video(stream, matcher, frames=MapFiles(tmp_path / "maps"), report=slowly)
+        maps = MapFiles(tmp_path / "maps")
+        with pytest.warns(UserWarning, match=r"camera.avi: gave no more pictures after 40 frames"):
+            tally = match_video(stream, matcher, frames=maps, report=slowly)
         server.shutdown()
     assert reported == sorted(set(reported))
     assert reported[-1] == 39
@@ -89,12 +91,26 @@ def test_a_picture_that_cannot_be_decoded_is_told(write_capture, monkeypatch):
     assert "damaged" in frames[1].problem
 
 
+@pytest.mark.parametrize("shapes", [[(48, 321, 3)], [(48, 160, 3), (50, 160, 3)]])
+def test_a_frame_of_another_geometry_is_told_not_raised(shapes):
+    frame = make_frame(4, 0.4, [np.zeros(shape, np.uint8) for shape in shapes])
+    assert (frame.index, frame.views) == (4, None)
+    assert "one size" in frame.problem
+
+
+def test_a_folder_is_no_camera_even_if_its_name_is_a_number(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "00").mkdir()
+    sources = {"00": False, "01": True, "²": False, "left": False, "rtsp://x/" + 300 * "y": True}
+    assert {source: captures.is_capture(source) for source in sources} == sources
+
+
 def test_bad_captures_are_errors(tmp_path, write_capture):
     wide, narrow = (write_capture(f"{n}.avi", [np.zeros((48, n, 3), np.uint8)]) for n in (160, 96))
-    with pytest.raises(InputError, match=r"left view has 160x48, right view has 96x48"):
-        list(open_stream(f"file://{wide}", f"file://{narrow}").frames)
-    with pytest.raises(InputError, match="161 px wide"):
-        make_frame(0, 0, [np.zeros((48, 161, 3), np.uint8)])
+    with pytest.raises(InputError, match=r"160.avi has 160x48, .*96.avi has 96x48"):
+        open_stream(f"file://{wide}", f"file://{narrow}")
+    with pytest.raises(InputError, match="0 is 161 px wide"):
+        check_sizes(["0"], [(161, 48)])  # OpenCV writes no such file
     (tmp_path / "text.avi").write_text("no video")
     with pytest.raises(InputError, match=r"text.avi: OpenCV cannot open"):
         open_stream(f"file://{tmp_path}/text.avi")

@@ -14,6 +14,7 @@ from noise_pairs import centre, make_pair
 from mobilestereonet import StereoMatcher
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
+from mobilestereonet.streams.cluster import _Worker
 
 COUNT = 24
 
@@ -83,6 +84,15 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_stays(tmp_path):
     assert len(matched) <= COUNT - 3 + 4
     assert len({process for _, process in notes(tmp_path)}) >= 2
     assert list(match_on_ray(pairs, files, make)) == []
+
+
+def test_a_worker_keeps_opencv_to_its_cores(tmp_path):
+    before = cv2.getNumThreads()
+    try:
+        _Worker([], MapFiles(tmp_path), lambda: None, before + 1)
+        assert cv2.getNumThreads() == before + 1
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_a_cluster_that_is_not_there(tmp_path, sequence):

@@ -1,6 +1,7 @@
 """A stream in, a video and maps out."""
 
 import threading
+import time
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from noise_pairs import centre
 from mobilestereonet import StereoResult
 from mobilestereonet.data import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams import MapFiles, match_video, open_stream
+from mobilestereonet.streams import MapFiles, Stream, match_video, open_stream
 from mobilestereonet.streams.video import SteadyRange
 
 
@@ -89,6 +90,42 @@ def test_maps_of_another_stream_are_not_taken_for_this_ones(sequence, matcher, t
     maps.save("view_0", flat(3), None)
     with pytest.raises(InputError, match=r"view_0_disparity.png: shape is \(4, 5\)"):
         match_video(opened(sequence), matcher, frames=maps, resume=True)
+
+
+def test_a_live_frame_is_matched_at_once_and_its_source_closed(sequence, matcher, monkeypatch):
+    asked, seen, closed = [], [], []
+
+    def camera():
+        try:
+            for frame in opened(sequence).frames:
+                asked.append(frame.index)
+                yield frame
+        finally:
+            closed.append(True)
+
+    match = type(matcher).__call__
+
+    def slowly(self, left, right=None):
+        time.sleep(0.02)
+        seen.append(asked[-1])
+        return match(self, left, right)
+
+    monkeypatch.setattr(type(matcher), "__call__", slowly)
+    stream, stop = Stream(camera(), None, live=True), threading.Event()
+
+    def stop_after_six(frame):
+        if frame.index == 5:
+            stop.set()
+
+    match_video(stream, matcher, stop=stop, report=stop_after_six)
+    assert seen == list(range(len(seen)))
+    assert closed == [True]
+
+
+def test_no_picture_is_made_if_none_is_written(sequence, matcher, tmp_path, monkeypatch):
+    monkeypatch.setattr("mobilestereonet.streams.video.SteadyRange", None)
+    maps = MapFiles(tmp_path / "maps")
+    assert match_video(opened(sequence), matcher, frames=maps).matched == 11
 
 
 def test_nothing_is_made_of_a_stream_that_gives_nothing(sequence, matcher, tmp_path):

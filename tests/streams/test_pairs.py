@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams.pairs import find_pairs, read_pairs
+from mobilestereonet.streams.pairs import Pair, find_pairs, read_pairs
 
 
 def touch(path):
@@ -34,6 +34,27 @@ def test_patterns_are_paired_by_what_their_wildcards_stand_for(tmp_path, monkeyp
     pairs = find_pairs("*/cam0_*.jpg", "*/cam1_*.jpg")
     assert [pair.name for pair in pairs] == ["a/cam0_1", "a/cam0_2", "b/cam0_1", "b/cam0_2"]
     assert pairs[2].right == tmp_path / "b" / "cam1_1.jpg"
+
+
+def test_a_folder_is_no_pattern_even_if_it_looks_like_one(tmp_path):
+    for index in (1, 2):
+        touch(tmp_path / "[run1]" / "left [a]" / f"{index}.png")
+        touch(tmp_path / "[run1]" / "right" / f"{index}.png")
+    left, right = tmp_path / "[run1]" / "left [a]", tmp_path / "[run1]" / "right"
+    for first, second in ((left, right), (right, left)):
+        expected = [Pair(n, first / f"{n}.png", second / f"{n}.png") for n in ("1", "2")]
+        assert find_pairs(first, second) == expected
+        assert find_pairs(first / "[12].png", second / "[12].png") == expected
+    with pytest.raises(FileNotFoundError, match="absent: no such file, folder or pattern"):
+        find_pairs(left, left / "absent")
+
+
+def test_two_pairs_of_one_name_are_an_error(tmp_path):
+    for side in ("l", "r"):
+        for name in ("x.png", "x.jpg", "y.png"):
+            touch(tmp_path / side / name)
+    with pytest.raises(InputError, match=r"l/x.jpg and .*l/x.png would both be called x,"):
+        find_pairs(tmp_path / "l" / "*", tmp_path / "r" / "*")
 
 
 @pytest.mark.parametrize(

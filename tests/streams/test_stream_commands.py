@@ -86,6 +86,17 @@ def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
     assert np.median(centre(cv2.imread(str(new), -1) / 256)) == pytest.approx(15, abs=0.1)
 
 
+@pytest.mark.parametrize("output", ["a.mp4", "new/../a.mp4"])
+@pytest.mark.parametrize("sources", [("a.mp4",), ("b.mp4", "a.mp4"), ("file://a.mp4",)])
+def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sources, output):
+    pytest.importorskip("av")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.mp4").write_bytes(b"precious")
+    code, out, err = msnet("video", *sources, "-o", output)
+    assert (code, out) == (2, "")
+    assert err == f"msnet: {output}: the video would replace its source; choose another name\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -98,9 +109,14 @@ def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
         (("video", "file://text.avi", "--frames", "new"), "text.avi: OpenCV cannot open"),
         (("video", "left", "right"), "nothing to write"),
         (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume .* need --frames"),
+        (("video", "left", "right", "--frames", "new", "--beside"), "--beside needs --output"),
         (("video", "left", "right", "-o", "v.gif"), "v.gif: videos are written as .mp4"),
         (("video", "left", "right", "--frames", "new", "--focal", "9"), "both --focal and"),
         (("video", "left", "right", "--frames", "text.avi/new"), "Not a directory"),
+        (
+            ("batch", "left/view_1.png", "right/view_1.png", "-o", "new"),
+            "left/view_1.png: one image, not .* `msnet predict LEFT RIGHT`",
+        ),
         (("batch", "left", "-o", "new"), "left: no sequences/"),
         (("batch", "left", "fewer", "-o", "new"), "its right view .*view_9.png is missing"),
         (("batch", "left", "right", "-o", "new", "--write", "depth.png"), "depth needs --calib"),

@@ -99,8 +99,9 @@ def visit(chromium, address):
     def open_page(width, height, **options):
         page = chromium.new_page(viewport={"width": width, "height": height}, **options)
         page.set_default_timeout(PATIENCE)
-        page.asked = set()
+        page.asked, page.refused = set(), set()
         page.on("request", lambda request: page.asked.add(request.url))
+        page.on("response", lambda answer: answer.ok or page.refused.add(answer.url))
         page.on("pageerror", lambda error: pytest.fail(str(error)))
         page.goto(address)
         page.locator("#match").wait_for()
@@ -110,6 +111,7 @@ def visit(chromium, address):
     yield open_page
     for page in pages:
         page.close()
+        assert not page.refused
 
 
 def choose(page, folder, left="left.png", right="right.png"):

@@ -2,7 +2,9 @@
 
 import json
 import os
+import time
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -17,7 +19,7 @@ from mobilestereonet.web.uploads import Limits
 
 gr = pytest.importorskip("gradio")
 
-from mobilestereonet.web.page import Handlers, Offer  # noqa: E402
+from mobilestereonet.web.page import Handlers, Offer, build_page  # noqa: E402
 from mobilestereonet.web.server import running  # noqa: E402
 
 PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
@@ -62,6 +64,15 @@ def upload(address, content, name="picture.png"):
     return get(f"{address}/gradio_api/upload", body + bytes(content) + b"\r\n--X--\r\n", headers)
 
 
+def join(address, event, data):
+    """Ask for the first event of that kind, as the browser does."""
+    config = json.loads(get(f"{address}/config")[2])
+    index = next(item["id"] for item in config["dependencies"] if item["targets"][0][1] == event)
+    body = {"data": data, "fn_index": index, "session_hash": "intruder"}
+    headers = {"Content-Type": "application/json"}
+    assert get(f"{address}/gradio_api/queue/join", json.dumps(body).encode(), headers)[0] == 200
+
+
 def files_below(folder):
     return [path for path in Path(folder).rglob("*") if path.is_file()]
 
@@ -104,6 +115,13 @@ def test_no_file_of_the_server_can_be_read(address):
     [
         "file=http://127.0.0.1:1/x.png",
         "file=https://example.org/x.png",
+        "file=HTTPS://example.org/x.png",
+        "file%3Dhttp://127.0.0.1:1/x.png",
+        "file=%68ttp://127.0.0.1:1/x.png",
+        "file/http://127.0.0.1:1/x.png",
+        "file/https://example.org/x.png",
+        "file/https%3A%2F%2Fexample.org/x.png",
+        "file%2Fhttps://example.org/x.png",
         "proxy=https://example.org/x.png",
         "deep_link?session_hash=x",
         "process_recording",
@@ -135,15 +153,7 @@ def test_uploads_have_a_limit_and_a_place(address):
     ],
 )
 def test_an_upload_event_takes_no_other_path(address, path, words):
-    config = json.loads(get(f"{address}/config")[2])
-    index = next(item["id"] for item in config["dependencies"] if item["targets"][0][1] == "upload")
-    body = {
-        "data": [{"path": path, "meta": {"_type": "gradio.FileData"}}],
-        "fn_index": index,
-        "session_hash": "intruder",
-    }
-    headers = {"Content-Type": "application/json"}
-    assert get(f"{address}/gradio_api/queue/join", json.dumps(body).encode(), headers)[0] == 200
+    join(address, "upload", [{"path": path, "meta": {"_type": "gradio.FileData"}}])
     url = f"{address}/gradio_api/queue/data?session_hash=intruder"
     with urlopen(url, timeout=20) as stream:
         for line in stream:
@@ -164,6 +174,38 @@ def test_the_folder_goes_with_the_server(offer, monkeypatch, tmp_path):
         assert all(folder.stat().st_mode & 0o077 == 0 for folder in tmp_path.glob("msnet-web-*"))
     assert files_below(tmp_path) == []
     assert os.environ["GRADIO_TEMP_DIR"] == "before"
+
+
+def test_a_match_that_still_writes_at_the_end_leaves_nothing(offer, monkeypatch, tmp_path):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    writing, written = Event(), Event()
+
+    def slow(session, *_):
+        try:
+            with session.replace("answer") as folder:
+                writing.set()
+                ended = time.monotonic() + 2
+                while folder.exists() and time.monotonic() < ended:
+                    time.sleep(0.02)
+                folder.mkdir(parents=True, exist_ok=True)  # as an atomic write does
+                (folder / "late.png").write_bytes(b"late")
+                raise InputError("late")
+        finally:
+            written.set()
+
+    monkeypatch.setattr("mobilestereonet.web.page.answer", slow)
+    with running(offer) as address:
+        join(address.rstrip("/"), "click", ["msnet2d", "torch", 0, 0, 0, 0, 0.5])
+        assert writing.wait(20)
+    assert written.wait(20)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_click_and_an_example_share_one_queue(act):
+    events = [event for event in build_page(act).fns.values() if event.fn == act.match]
+    assert len(events) == 2
+    assert {(event.concurrency_id, event.concurrency_limit) for event in events} == {("match", 1)}
 
 
 @pytest.fixture
@@ -195,7 +237,7 @@ def test_handlers_from_the_upload_to_the_cloud(act, tmp_path):
     with pytest.raises(gr.Error, match="there is no right picture"):
         match(act)
     act.leave(VISITOR)
-    assert files_below(tmp_path) == []
+    assert files_below(act.sessions.root) == []
 
 
 def test_an_example_fills_everything_in(act, offer):

@@ -3,6 +3,7 @@
 import base64
 import struct
 import zlib
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.files import decode_image, read_pfm
+from mobilestereonet.inference import load_pair
 from mobilestereonet.web.answer import CLOUD, Geometry, answer
 from mobilestereonet.web.sessions import Sessions
 from mobilestereonet.web.uploads import Limits, admit
@@ -75,15 +77,21 @@ def png_header(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + pixels + chunk(b"IEND", b"")
 
 
-def test_an_upload_moves_into_the_session_under_our_name(root, sessions, upload):
+def test_an_upload_is_copied_into_the_session_under_our_name(root, sessions, upload):
     path = upload(LEFT, name="My holiday \u2603.jpeg")  # a PNG, whatever it is called
     kept = admit(path, root, sessions["a"], "left", Limits())
     assert kept.name == "left.png"
     assert kept.is_relative_to(sessions["a"].folder)
-    assert not path.exists()
     np.testing.assert_array_equal(decode_image(kept), LEFT)
     again = admit(upload(RIGHT), root, sessions["a"], "left", Limits())
-    assert files_below(root) == [again]
+    assert files_below(root / "sessions") == [again]
+
+
+def test_two_visitors_with_the_same_picture(root, sessions, upload):
+    path = upload(LEFT)  # one path: gradio names it by its content
+    kept = [admit(path, root, sessions[name], "left", Limits()) for name in "ab"]
+    sessions.close("a")
+    assert files_below(root / "sessions") == kept[1:]
 
 
 @pytest.mark.parametrize(
@@ -224,6 +232,17 @@ def test_bad_pairs(root, session, upload, matcher):
         answer(session, matcher, Geometry())
 
 
+def test_a_picture_that_goes_meanwhile(root, session, matcher, monkeypatch):
+    def late(left, right):
+        left.unlink()
+        return load_pair(left, right)
+
+    monkeypatch.setattr("mobilestereonet.web.answer.load_pair", late)
+    with pytest.raises(InputError, match="left picture: no such file") as error:
+        answer(session, matcher, Geometry())
+    assert str(root) not in str(error.value)
+
+
 def test_a_failure_on_the_way_leaves_the_former_answer(session, matcher, monkeypatch):
     answer(session, matcher, Geometry(50, 0.2))
     before = files_below(session.folder)
@@ -249,10 +268,60 @@ def test_closing_deletes_everything(root, sessions, session, matcher):
     assert sessions["someone"].file("left") is None
 
 
-def test_closing_during_the_work_leaves_nothing(sessions):
-    session = sessions["a"]
-    with pytest.raises(InputError, match="closed"), session.replace("answer") as folder:
-        sessions.close("a")
-        folder.mkdir(parents=True)  # as an atomic write does
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_closing_waits_for_what_is_written(root, sessions, all_of_them):
+    close, names = (sessions.close_all, ()) if all_of_them else (sessions.close, ("a",))
+    closing = Thread(target=close, args=names)
+    with sessions["a"].replace("answer") as folder:
+        closing.start()
+        closing.join(0.1)
+        folder.mkdir(parents=True, exist_ok=True)  # as an atomic write does
         (folder / "late.png").write_bytes(b"late")
-    assert not session.folder.exists()
+        assert closing.is_alive()
+    closing.join(10)
+    assert list((root / "sessions").iterdir()) == []
+
+
+def test_after_the_end_no_folder_is_made(root, sessions, session):
+    sessions.close_all()
+    with pytest.raises(InputError, match="closed"), session.replace("left"):
+        pass
+    for name in ("someone", "other"):
+        with pytest.raises(InputError, match="server is being ended"):
+            sessions[name]
+    assert list((root / "sessions").iterdir()) == []
+
+
+def test_dropping_waits_for_what_is_written(session):
+    dropping = Thread(target=session.drop, args=("left",))
+    with session.replace("left") as folder:
+        dropping.start()
+        dropping.join(0.1)
+        assert dropping.is_alive()
+        (folder / "left.png").write_bytes(b"new")
+    dropping.join(10)
+    assert [path.name for path in files_below(session.folder)] == ["right.png"]
+
+
+def test_folders_are_the_servers_own(root, session):
+    folders = [root / "sessions", *(path for path in root.rglob("sessions/**/") if path.is_dir())]
+    assert len(folders) >= 4
+    assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
+
+
+def test_idle_sessions_are_closed(root):
+    sessions = Sessions(root, oldest=0)
+    first = sessions["a"]
+    assert sessions["a"] is first  # who asks for it is not idle
+    second = sessions["b"]
+    assert list(root.iterdir()) == [second.folder]
+
+
+def test_the_one_idle_longest_makes_room(root):
+    sessions = Sessions(root, most=2)
+    a, b = sessions["a"], sessions["b"]
+    assert sessions["a"] is a
+    c = sessions["c"]
+    assert set(root.iterdir()) == {a.folder, c.folder}
+    with pytest.raises(InputError, match="closed"), b.replace("left"):
+        pass

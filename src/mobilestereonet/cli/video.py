@@ -73,8 +73,16 @@ def video(
     calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
     if frames is None and (resume or calibration is not None):
         raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
-    if output is not None:
+    if output is None:
+        if beside:
+            raise InputError("--beside needs --output VIDEO, whose pictures it widens")
+    else:
         check_video_file(output)
+        for source in (left, right or left):
+            if Path(source.removeprefix("file://")).resolve() == output.resolve():
+                raise InputError(
+                    f"{output}: the video would replace its source; choose another name"
+                )
     stream = open_stream(left, right, fps)
     engine = engine_options(model, runtime, precision, threads, device)
     matcher = StereoMatcher.from_pretrained(model, weights=weights, **engine)

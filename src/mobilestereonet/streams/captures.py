@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Generator, Sequence
 from itertools import count
 from pathlib import Path
@@ -12,12 +13,19 @@ import cv2
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams.overlap import newest
-from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
+from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 
 def is_capture(source: str) -> bool:
     """Whether a source is a camera (a number or a device) or an address, not a file."""
-    return source.isdigit() or "://" in source or Path(source).is_char_device()
+    if "://" in source:
+        return True
+    path = Path(source)  # a folder may be called 00, as KITTI's are
+    return path.is_char_device() if path.exists() else _is_number(source)
+
+
+def _is_number(source: str) -> bool:
+    return source.isascii() and source.isdecimal()
 
 
 def open_captures(sources: Sequence[str]) -> Stream:
@@ -31,11 +39,12 @@ def open_captures(sources: Sequence[str]) -> Stream:
             addresses.
 
     Raises:
-        InputError: If one cannot be opened.
+        InputError: If one cannot be opened; if two differ in size; if one alone has an odd width.
     """
     live = not all(source.startswith("file://") for source in sources)
     captures = [_open(source) for source in sources]
-    frames = _frames(captures, live)
+    check_sizes(sources, [_size(capture) for capture in captures])
+    frames = _frames(sources, captures, live)
     return Stream(newest(frames) if live else frames, None, live)
 
 
@@ -43,7 +52,7 @@ def _open(source: str) -> Any:
     logging = cv2.utils.logging
     level = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # the backends that do not know the source warn
-    capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    capture = cv2.VideoCapture(int(source) if _is_number(source) else source)
     logging.setLogLevel(level)
     if not capture.isOpened():
         raise InputError(
@@ -53,12 +62,27 @@ def _open(source: str) -> Any:
     return capture
 
 
-def _frames(captures: Sequence[Any], live: bool) -> Generator[StereoFrame]:
+def _size(capture: Any) -> tuple[int, int]:
+    return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+
+def _frames(sources: Sequence[str], captures: Sequence[Any], live: bool) -> Generator[StereoFrame]:
     started = time.monotonic()
     try:
         for index in count():
             # Both take their picture before one is decoded: they should show one moment.
-            if not all(capture.grab() for capture in captures):
+            ended = [
+                source
+                for source, capture in zip(sources, captures, strict=True)
+                if not capture.grab()
+            ]
+            if ended:
+                if live:
+                    warnings.warn(
+                        f"{' and '.join(ended)}: gave no more pictures after {index} frames; was "
+                        "the camera unplugged or the connection lost?",
+                        stacklevel=2,
+                    )
                 return
             shown = captures[0].get(cv2.CAP_PROP_POS_MSEC) / 1000
             seconds = time.monotonic() - started if live else shown

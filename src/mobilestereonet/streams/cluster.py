@@ -6,6 +6,8 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import cv2
+
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.streams.batch import Outcome, match_pairs
@@ -20,8 +22,13 @@ class _Worker:
     """One process of the cluster, with a matcher of its own."""
 
     def __init__(
-        self, pairs: Sequence[Pair], files: MapFiles, make_matcher: Callable[[], StereoMatcher]
+        self,
+        pairs: Sequence[Pair],
+        files: MapFiles,
+        make_matcher: Callable[[], StereoMatcher],
+        cpus: int,
     ) -> None:
+        cv2.setNumThreads(cpus)  # OpenCV takes all cores of the machine if it is not told
         self.pairs, self.files = pairs, files
         self.matcher = make_matcher()
 
@@ -89,7 +96,7 @@ def match_on_ray(
         outcomes = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
         outcomes = outcomes.map_batches(
             _Worker,
-            fn_constructor_args=(todo, files, make_matcher),
+            fn_constructor_args=(todo, files, make_matcher, cpus),
             batch_size=None,
             compute=ray.data.ActorPoolStrategy(size=min(workers, tasks)),
             num_cpus=cpus,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners import PairFolder
+from mobilestereonet.data.scanners.base import Frame
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import load_pair
 from mobilestereonet.streams.stream import StereoFrame
@@ -50,27 +50,41 @@ def find_pairs(left: str | Path, right: str | Path | None = None) -> list[Pair]:
 
     Raises:
         FileNotFoundError: If a folder or a view does not exist.
-        InputError: If a view has no partner, or the folders do not tell which images are meant.
+        InputError: If a view has no partner, two have one name, or the folders do not tell which
+            images are meant.
     """
     if right is None:
         return _kitti_odometry(Path(left))
     patterns = [_pattern(source) for source in (left, right)]
-    fixed = [_fixed(pattern) for pattern in patterns]
-    # PairFolder looks below one root.
-    root = Path(os.path.commonpath(fixed))
-    below = [Path(os.path.relpath(pattern, root)).as_posix() for pattern in patterns]
-    frames = PairFolder(root, left=below[0], right=below[1]).frames
-    alone = set(root.glob(below[1])) - {frame.right for frame in frames}
+    frames = _PairFolders(*patterns).frames
+    right_root, right_views = patterns[1]
+    alone = set(right_root.glob(right_views)) - {frame.right for frame in frames}
     if alone:
         raise InputError(
             f"{len(frames)} left views, but {len(frames) + len(alone)} right ones: "
             f"{min(alone)} has no left view"
         )
-    pairs = [
-        Pair(frame.left.relative_to(fixed[0]).with_suffix("").as_posix(), frame.left, frame.right)
-        for frame in frames
-    ]
-    return sorted(pairs, key=lambda pair: _natural(pair.name))
+    named: dict[str, Frame] = {}
+    for frame in frames:
+        other = named.setdefault(frame.name, frame)
+        if other is not frame:
+            raise InputError(
+                f"{other.left} and {frame.left} would both be called {frame.name}, and so would "
+                "their maps: give a pattern that holds one of them, such as '*.png'"
+            )
+    return [Pair(name, named[name].left, named[name].right) for name in sorted(named, key=_natural)]
+
+
+class _PairFolders(PairFolder):
+    """Pairs whose views lie in two folders, each with its own pattern below it."""
+
+    def __init__(self, left: tuple[Path, str], right: tuple[Path, str]) -> None:
+        self.right_root = right[0]
+        super().__init__(left[0], left=left[1], right=right[1])
+
+    def frame(self, left: Path) -> Frame:
+        frame = super().frame(left)
+        return replace(frame, right=self.right_root / frame.right.relative_to(self.root))
 
 
 def _kitti_odometry(root: Path) -> list[Pair]:
@@ -93,30 +107,33 @@ def _kitti_odometry(root: Path) -> list[Pair]:
     return pairs
 
 
-def _pattern(source: str | Path) -> Path:
-    """The absolute pattern of the images that a folder or a pattern names."""
+def _pattern(source: str | Path) -> tuple[Path, str]:
+    """What a folder or a pattern names: a folder that exists, and a pattern below it."""
     path = Path(source).resolve()
+    if path.is_file():
+        raise InputError(
+            f"{source}: one image, not a folder or a pattern of many: `msnet predict LEFT RIGHT` "
+            "matches one pair"
+        )
     if not path.is_dir():
-        if not _WILDCARD.search(str(path)):
+        # A folder that exists is meant as it is, even if its name looks like a pattern.
+        folder = next(parent for parent in path.parents if parent.is_dir())
+        pattern = path.relative_to(folder).as_posix()
+        if not _WILDCARD.search(pattern):
             raise FileNotFoundError(f"{source}: no such file, folder or pattern")
-        return path
+        return folder, pattern
     endings = {file.suffix for file in path.iterdir() if file.suffix.lower() in _IMAGES}
     if len(endings) != 1:
         found = f"images that end in {' and '.join(sorted(endings))}" if endings else "no image"
         raise InputError(f"{source}: {found}; give a pattern such as '{source}/*.png'")
-    return path / f"*{endings.pop()}"
-
-
-def _fixed(pattern: Path) -> Path:
-    """The folder above the first wildcard."""
-    return Path(_WILDCARD.split(str(pattern))[0] + "*").parent
+    return path, f"*{endings.pop()}"
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def read_pairs(pairs: Iterable[Pair], fps: float = 1.0) -> Iterator[StereoFrame]:
+def read_pairs(pairs: Iterable[Pair], fps: float = 1.0) -> Generator[StereoFrame]:
     """Read pairs, one after the other; what cannot be read is told, not raised.
 
     Args:

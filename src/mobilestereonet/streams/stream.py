@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from torch import Tensor
 
 from mobilestereonet.data.sample import Calibration
@@ -39,12 +40,12 @@ class Stream:
     """A source of frames.
 
     Attributes:
-        frames: The frames; they can be gone through once.
+        frames: The frames; they can be gone through once. Closing them ends the source.
         total: How many there are; None if that is not known.
         live: Whether they come from a camera, so that they are other ones the next time.
     """
 
-    frames: Iterable[StereoFrame]
+    frames: Generator[StereoFrame]
     total: int | None
     live: bool = False
 
@@ -52,42 +53,43 @@ class Stream:
 def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:
     """A frame of the pictures that one or two cameras took at a moment.
 
+    One that cannot be used has a ``problem`` and stops nothing.
+
     Args:
         index: Its number.
         seconds: When it is shown.
         pictures: Both views, (H, W, 3) uint8 RGB, or one picture with both side by side; None
             where it cannot be read.
+    """
+    whole = [picture for picture in pictures if picture is not None]
+    views, problem = None, ""
+    if len(whole) < len(pictures):
+        problem = "the picture is damaged"
+    else:
+        try:
+            left, right = whole if len(whole) == 2 else np.array_split(whole[0], 2, axis=1)
+            views = load_pair(left, right)
+        except InputError as error:  # the source changed its size on the way
+            problem = str(error)
+    return StereoFrame(index, f"{index:06d}", seconds, views, problem)
+
+
+def check_sizes(names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:
+    """Refuse sources that cannot hold two views, before the first frame is read.
+
+    Args:
+        names: What messages call them.
+        sizes: Width and height of the left and the right source, or of one that has both views
+            side by side.
 
     Raises:
-        InputError: If the views differ in size, or a side-by-side picture has an odd width.
+        InputError: If two differ in size, or one alone has an odd width.
     """
-    name = f"{index:06d}"
-    views = [picture for picture in pictures if picture is not None]
-    if len(views) < len(pictures):
-        return StereoFrame(index, name, seconds, None, "the picture is damaged")
-    left, right = views if len(views) == 2 else split_views(views[0])
-    return StereoFrame(index, name, seconds, load_pair(left, right))
-
-
-def split_views(picture: Picture) -> tuple[Picture, Picture]:
-    """Left and right view of a side-by-side picture.
-
-    Raises:
-        InputError: If its width is odd.
-    """
-    width = picture.shape[1]
-    check_even(width)
-    return picture[:, : width // 2], picture[:, width // 2 :]
-
-
-def check_even(width: int, name: str = "this video") -> None:
-    """Refuse a width that has no middle.
-
-    Raises:
-        InputError: If the width is odd.
-    """
-    if width % 2:
+    if len(sizes) == 1 and sizes[0][0] % 2:
         raise InputError(
-            f"{name} is {width} px wide, and two views side by side need an even width: give the "
-            "right camera's video, too, if this is the left one's"
+            f"{names[0]} is {sizes[0][0]} px wide, and two views side by side need an even width: "
+            "give the right camera's video, too, if this is the left one's"
         )
+    if len(set(sizes)) > 1:
+        facts = [f"{name} has {size[0]}x{size[1]}" for name, size in zip(names, sizes, strict=True)]
+        raise InputError(f"the two views must have one size: {', '.join(facts)}")

@@ -111,11 +111,10 @@ def match_video(
         raise InputError("to resume takes the frames' disparities as files, and no live camera")
     tally = Tally()
     problem = "there is none"
-    colours = SteadyRange()
 
-    def pictures(results: Iterable[Matched]) -> Iterator[tuple[float, Picture]]:
+    def finished(results: Iterable[Matched]) -> Iterator[tuple[float, StereoResult]]:
         nonlocal problem
-        for frame, result in _one_size(results) if video is not None else results:
+        for frame, result in results:
             tally.passed_over += frame.index - tally.matched - tally.broken - tally.passed_over
             if result is None:
                 problem = frame.problem
@@ -124,22 +123,25 @@ def match_video(
                 if frames is not None and not (resume and frames.finished(frame.name)):
                     frames.save(frame.name, result, calibration)
                 tally.matched += 1
-                yield frame.seconds, _picture(result, colours.update(frame.seconds, result), beside)
+                yield frame.seconds, result
             report(frame)
             if stop is not None and stop.is_set():
                 return
 
-    with closing(ahead(matched(ahead(stream.frames), matcher, frames if resume else None))) as made:
-        shown = pictures(made)
+    # What a live camera shows now is to be matched, not what was read ahead.
+    source = stream.frames if stream.live else ahead(stream.frames)
+    results = ahead(matched(source, matcher, frames if resume else None))
+    with closing(source), closing(results):
+        shown = finished(results if video is None else _one_size(results))
         # Nothing is made for a stream that gives nothing.
         first = next(shown, None)
         if first is None:
             raise InputError(f"no frame could be matched: {problem}")
         shown = chain([first], shown)
-        if video is not None:
-            write_video(video, shown)
-        else:
+        if video is None:
             deque(shown, maxlen=0)
+        else:
+            write_video(video, _pictures(shown, beside))
     return tally
 
 
@@ -155,6 +157,11 @@ def _one_size(results: Iterable[Matched]) -> Iterator[Matched]:
             yield frame, result
 
 
-def _picture(result: StereoResult, maximum: float, beside: bool) -> Picture:
-    colours = colour_disparity(result.disparity, maximum, result.valid)
-    return side_by_side([result.left, colours]) if beside else colours
+def _pictures(
+    results: Iterable[tuple[float, StereoResult]], beside: bool
+) -> Iterator[tuple[float, Picture]]:
+    colours = SteadyRange()
+    for seconds, result in results:
+        maximum = colours.update(seconds, result)
+        picture = colour_disparity(result.disparity, maximum, result.valid)
+        yield seconds, side_by_side([result.left, picture]) if beside else picture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import cv2
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
 from mobilestereonet.plots import Picture
-from mobilestereonet.streams.stream import StereoFrame, Stream, check_even, make_frame
+from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov")
 
@@ -120,21 +120,17 @@ def open_videos(paths: Sequence[str | Path]) -> Stream:
             has an odd width.
     """
     videos = [VideoFile(path) for path in paths]
-    if len(videos) == 1:
-        check_even(videos[0].size[0], str(videos[0].path))
-    for name, facts in (
-        ("size", [f"{video.size[0]}x{video.size[1]}" for video in videos]),
-        ("number of frames", [str(len(video.stamps)) for video in videos]),
-    ):
-        if len(set(facts)) > 1:
-            raise InputError(
-                f"the two videos must have one {name}: {videos[0].path} has {facts[0]}, "
-                f"{videos[1].path} has {facts[1]}"
-            )
-    return Stream(_frames(videos), len(videos[0].stamps))
+    check_sizes([str(video.path) for video in videos], [video.size for video in videos])
+    counts = [len(video.stamps) for video in videos]
+    if len(set(counts)) > 1:
+        raise InputError(
+            f"the two videos must have one number of frames: {videos[0].path} has {counts[0]}, "
+            f"{videos[1].path} has {counts[1]}"
+        )
+    return Stream(_frames(videos), counts[0])
 
 
-def _frames(videos: Sequence[VideoFile]) -> Iterator[StereoFrame]:
+def _frames(videos: Sequence[VideoFile]) -> Generator[StereoFrame]:
     for index, moments in enumerate(zip(*videos, strict=True)):
         yield make_frame(index, moments[0][0], [picture for _, picture in moments])
 

@@ -145,7 +145,7 @@ def _load(session: Session) -> tuple[Any, Any]:
         raise InputError(f"there is no {side} picture (any more): choose one")
     try:
         return load_pair(left, right)
-    except InputError as error:
+    except (InputError, OSError) as error:
         # Where the server keeps its files is nobody's business.
         text = str(error).replace(str(left), "left picture").replace(str(right), "right picture")
         raise InputError(text) from None

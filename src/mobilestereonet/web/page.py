@@ -19,11 +19,8 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.plots import to_picture
 from mobilestereonet.web.answer import CLOUD, FAR, Geometry, answer
-from mobilestereonet.web.sessions import Sessions
+from mobilestereonet.web.sessions import OLDEST, Sessions
 from mobilestereonet.web.uploads import Limits, admit
-
-OLDEST = 3600
-"""Seconds after which any file goes, whether its page is open or not."""
 
 _ABOUT = """# Depth from two pictures
 Two pictures of one scene, taken side by side (a **rectified stereo pair**), become a disparity
@@ -55,7 +52,7 @@ def clear_errors() -> Iterator[None]:
     """Bad input becomes one line on the page."""
     try:
         yield
-    except (InputError, FileNotFoundError) as error:
+    except InputError as error:
         # gradio takes the message for HTML.
         text = html.escape(str(error).replace("\n", " "))
         raise gr.Error(text, print_exception=False) from error
@@ -97,12 +94,14 @@ class Handlers:
 
     def take_example(self, choice: gr.SelectData, request: gr.Request) -> list[Any]:
         """Both pictures of an example, and its calibration."""
-        session, sample = self.sessions[request.session_hash], self.offer.examples[choice.index]
+        sample = self.offer.examples[choice.index]
         paths = []
-        for side, view in (("left", sample.left), ("right", sample.right)):
-            with session.replace(side) as folder:
-                write_png(folder / f"{side}.png", to_picture(view))
-            paths.append(str(folder / f"{side}.png"))
+        with clear_errors():
+            session = self.sessions[request.session_hash]
+            for side, view in (("left", sample.left), ("right", sample.right)):
+                with session.replace(side) as folder:
+                    write_png(folder / f"{side}.png", to_picture(view))
+                paths.append(str(folder / f"{side}.png"))
         known = sample.calibration
         assert known is not None  # examples have one
         return [*paths, *(round(value, 4) for value in (known.focal, known.baseline, known.doffs))]
@@ -147,17 +146,16 @@ class Handlers:
         self.sessions.close(request.session_hash)
 
 
-def build_page(offer: Offer, uploads: Path) -> gr.Blocks:
+def build_page(act: Handlers) -> gr.Blocks:
     """Lay out the page.
 
     Args:
-        offer: What it offers.
-        uploads: Where gradio puts uploads.
+        act: What happens on it, and what it offers.
 
     Returns:
-        The page, to be launched with `PAGE_STYLE`.
+        The page, to be launched with `page_style`.
     """
-    act = Handlers(offer, uploads)
+    offer = act.offer
     with gr.Blocks(
         title="Depth from two pictures", analytics_enabled=False, delete_cache=(60, OLDEST)
     ) as page:
@@ -175,10 +173,17 @@ def build_page(offer: Offer, uploads: Path) -> gr.Blocks:
             event.failure(lambda: None, None, image, **_QUIET)
             image.clear(act.dropping(side), **_QUIET)
         inputs = [*engine, *geometry]
-        shown: dict[str, Any] = {"api_visibility": "private", "show_progress_on": results[0]}
-        button.click(act.match, inputs, results, js=_SHOW_RESULTS, **shown)
+        matching: dict[str, Any] = {
+            "api_visibility": "private",
+            "show_progress_on": results[0],
+            "js": _SHOW_RESULTS,
+            # One after the other, whichever way a match is asked for.
+            "concurrency_id": "match",
+            "concurrency_limit": 1,
+        }
+        button.click(act.match, inputs, results, **matching)
         example = gallery.select(act.take_example, None, [left, right, *geometry[:3]], **_QUIET)
-        example.success(act.match, inputs, results, js=_SHOW_RESULTS, **shown)
+        example.success(act.match, inputs, results, **matching)
         # Not before its tab is open: a viewer that has a model when it is mounted stays empty (seen
         # in gradio 6.31). Nobody who does not look at the points waits for them, either.
         points.select(act.cloud, None, results[4], api_visibility="private")
@@ -257,7 +262,7 @@ def _settings(offer: Offer) -> tuple[list[Any], list[Any]]:
                 offer.models, label="Network", info="sgbm: not a network", min_width=140
             )
             runtime = gr.Dropdown(
-                offer.runtimes, label="Engine", info="auto: the fastest here", min_width=140
+                offer.runtimes, label="Engine", info="auto: PyTorch", min_width=140
             )
         with gr.Row():
             max_depth = gr.Number(

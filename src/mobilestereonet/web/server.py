@@ -14,11 +14,13 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.responses import PlainTextResponse
 
-from mobilestereonet.web.page import Offer, build_page, page_style
+from mobilestereonet.web.page import Handlers, Offer, build_page, page_style
 
-# What gradio offers beside the page: fetching web addresses, video editing, saved states.
-_UNUSED = re.compile(
-    r"/gradio_api/(file=\w+:/|proxy=|stream/|process_recording|deep_link|run-history|vibe)"
+# What the page needs of gradio's API, files by their path (on Windows, after a drive's letter).
+# The rest fetches web addresses, edits videos, keeps states.
+_USED = re.compile(
+    r"/gradio_api/(file=(/|\w:)|(upload|upload_progress|info|startup-events|cancel|reset)/?$"
+    r"|queue/|heartbeat/)"
 )
 # A browser that keeps to it asks this server only: gradio's libraries name others.
 _POLICY = (
@@ -47,7 +49,8 @@ class Guard:
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 
-        refused = scope["type"] == "http" and _UNUSED.match(scope["path"])
+        path = scope.get("path", "")
+        refused = path.startswith("/gradio_api") and not _USED.match(path)
         app = PlainTextResponse("not here", status_code=404) if refused else self._app
         await app(scope, receive, send_with_policy)
 
@@ -70,7 +73,8 @@ def running(offer: Offer, *, host: str = "127.0.0.1", port: int | None = None) -
     before = os.environ.get("GRADIO_TEMP_DIR")
     with TemporaryDirectory(prefix="msnet-web-") as folder:
         os.environ["GRADIO_TEMP_DIR"] = folder
-        page = build_page(offer, Path(folder))
+        act = Handlers(offer, Path(folder))
+        page = build_page(act)
         try:
             _, address, _ = page.launch(
                 server_name=host,
@@ -88,6 +92,7 @@ def running(offer: Offer, *, host: str = "127.0.0.1", port: int | None = None) -
             )
             yield address
         finally:
+            act.sessions.close_all()
             page.close(verbose=False)
             if before is None:
                 del os.environ["GRADIO_TEMP_DIR"]

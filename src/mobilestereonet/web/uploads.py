@@ -37,7 +37,10 @@ class Limits:
 
 
 def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Limits) -> Path:
-    """Take an uploaded picture into a session, or delete it. It is not decoded yet.
+    """Copy an uploaded picture into a session, or delete it. It is not decoded yet.
+
+    A good upload stays until gradio deletes it: gradio names uploads by their content, so that
+    the same picture of two visitors is one file.
 
     Args:
         upload: Where the browser says that its upload is: not to be trusted.
@@ -60,10 +63,11 @@ def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Limi
         raise InputError(f"{side} picture: the upload is not there: choose it again")
     try:
         suffix = _check_picture(upload, side, limits)
-        with session.replace(side) as folder:
-            return Path(shutil.move(upload, folder / f"{side}{suffix}"))
-    finally:
+    except InputError:
         upload.unlink(missing_ok=True)
+        raise
+    with session.replace(side) as folder:
+        return Path(shutil.copyfile(upload, folder / f"{side}{suffix}"))
 
 
 def _check_picture(path: Path, side: str, limits: Limits) -> str:
