@@ -37,9 +37,8 @@ def open_runtime(
     """Make a network ready in an engine.
 
     Args:
-        name: One of `RUNTIMES`. "auto" is PyTorch: accelerated as it is here, no engine was
-            faster by more than a tenth over both networks (see `msnet bench`), each took two to
-            four times the memory, and it alone needs no conversion.
+        name: One of `RUNTIMES`. "auto" is PyTorch, accelerated, which needs no conversion
+            and the least memory. OpenVINO may be faster (see `msnet bench`).
         net: The network, with any weights.
         precision: "fp32", "bf16" (not in ONNX Runtime), "fp16" (PyTorch on a GPU), or "auto":
             bf16 where the engine has it, and the processor or GPU instructions for it, else fp32.
