@@ -1,9 +1,11 @@
 """The commands video and batch, as a user runs them."""
 
-import os
 import re
 import signal
 import sys
+import threading
+from contextlib import nullcontext
+from importlib import import_module
 
 import cv2
 import numpy as np
@@ -12,6 +14,8 @@ from noise_pairs import centre, make_pair
 
 from mobilestereonet.cli.main import main
 from mobilestereonet.runtimes.sgbm import StereoSGBM
+
+video = import_module("mobilestereonet.cli.video")
 
 
 @pytest.fixture
@@ -46,16 +50,17 @@ def test_video_of_a_sequence_with_depth(msnet, sequence):
 
 
 def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypatch):
-    calls, match = [], StereoSGBM.__call__
+    # A real signal may end the process that runs the tests: the event is set as Ctrl-C sets it.
+    calls, match, pressed = [], StereoSGBM.__call__, threading.Event()
 
     def counted(self, left, right):
         calls.append(1)
         if len(calls) == 3:
-            os.kill(os.getpid(), signal.SIGINT)
+            pressed.set()
         return match(self, left, right)
 
     monkeypatch.setattr(StereoSGBM, "__call__", counted)
-    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(video, "_interrupted", lambda: nullcontext(pressed))
     command = "video", sequence / "left", sequence / "right", "--frames", sequence / "maps"
     code, out, _ = msnet(*command)
     finished = len(list((sequence / "maps").iterdir()))
@@ -63,11 +68,21 @@ def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypa
     assert f"{finished} frames" in out
     assert out.endswith("stopped; --resume goes on from here\n")
     assert 1 <= finished < 11
-    assert signal.getsignal(signal.SIGINT) == before
+    pressed.clear()
     calls[:] = [1] * 5
     code, out, _ = msnet(*command, "--resume")
     assert (code, len(calls) - 5) == (0, 11 - finished)
     assert "11 frames" in out
+
+
+def test_the_first_ctrl_c_asks_to_stop_and_the_handler_is_given_back():
+    before = signal.getsignal(signal.SIGINT)
+    with video._interrupted() as stop:
+        handler = signal.getsignal(signal.SIGINT)
+        assert handler is not before and not stop.is_set()
+        handler(signal.SIGINT, None)
+        assert stop.is_set() and signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
