@@ -1,27 +1,12 @@
 """The commands doctor and rectify, as a user runs them."""
 
 import json
-import sys
 
 import cv2
 import numpy as np
 import pytest
 
-from mobilestereonet.cli.main import main
 from mobilestereonet.data import read_calibration
-
-
-@pytest.fixture
-def msnet(monkeypatch, capsys):
-    """Runs the command line; gives exit code, stdout and stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

@@ -12,22 +12,8 @@ from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
 from mobilestereonet import StereoMatcher, create_model, save_weights
-from mobilestereonet.cli.main import main
 from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import files
-
-
-@pytest.fixture
-def msnet(monkeypatch, capsys):
-    """Runs the command line; gives exit code, stdout and stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,26 +1,10 @@
 """Depth, points, confidence and checks from ``msnet predict``."""
 
 import json
-import sys
 
 import cv2
 import numpy as np
 import pytest
-
-from mobilestereonet.cli.main import main
-
-
-@pytest.fixture
-def msnet(monkeypatch, capsys):
-    """Runs the command line; gives exit code, stdout and stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

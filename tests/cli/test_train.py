@@ -1,23 +1,6 @@
 """The commands around training, as a user runs them; what they do is tested elsewhere."""
 
-import sys
-
 import pytest
-
-from mobilestereonet.cli.main import main
-
-
-@pytest.fixture
-def msnet(monkeypatch, capsys):
-    """Runs the command line; gives exit code, stdout and stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,12 @@
 """Every format: the file in its own runtime gives what torch gives, or nothing is written."""
 
 import json
-import sys
 
 import pytest
 import torch
 from torch import nn
 
 from mobilestereonet import InputError, create_model, save_weights
-from mobilestereonet.cli.main import main
 from mobilestereonet.export import FORMATS, calibration_pairs, export_model, real_pair
 from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
@@ -205,17 +203,6 @@ def test_metadata_say_whose_the_weights_are():
     arguments = {"precision": "fp32", "size": None}
     assert describe(config, "msnet2d", embedded=True, **arguments)["licence"] == "Apache-2.0"
     assert describe(config, "msnet2d", embedded=False, **arguments)["licence"] != "Apache-2.0"
-
-
-@pytest.fixture
-def msnet(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["msnet", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 def test_command(msnet, net, tmp_path):

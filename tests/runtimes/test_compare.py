@@ -1,12 +1,9 @@
 """`msnet bench` and what it is made of."""
 
-import sys
-
 import pytest
 import torch
 
 from mobilestereonet import create_model, save_weights
-from mobilestereonet.cli.main import main
 from mobilestereonet.runtimes import compare
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
 from mobilestereonet.runtimes.openvino import OpenVINORuntime
@@ -42,21 +39,17 @@ def test_only_installed_engines_are_named(monkeypatch):
     assert compare.installed_engines("cuda:0")[-1] == ("torch", "fp16")
 
 
-def test_command(tmp_path, monkeypatch, capsys):
+def test_command(msnet, tmp_path, monkeypatch):
     weights = tmp_path / "small.safetensors"
     save_weights(small(), weights)
     monkeypatch.setattr(compare, "installed_engines", lambda device: [("torch", "fp32")])
-    arguments = ["msnet", "bench", "--weights", str(weights), "--device", "cpu", "--repeats", "1"]
-    monkeypatch.setattr(sys, "argv", [*arguments, "--size", "32", "64"])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 0
-    lines = capsys.readouterr().out.splitlines()
+    arguments = ("bench", "--weights", weights, "--device", "cpu", "--repeats", 1)
+    code, out, _ = msnet(*arguments, "--size", 32, 64)
+    assert code == 0
+    lines = out.splitlines()
     assert any("eager" in line and "1.00" in line for line in lines)
     assert any("torch" in line and "fp32" in line for line in lines)
     assert lines[-1].startswith("--runtime auto takes ")
-    monkeypatch.setattr(sys, "argv", [*arguments, "--size", "30", "64"])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    assert "height must be a multiple of 16, got 30" in capsys.readouterr().err
+    code, _, err = msnet(*arguments, "--size", 30, 64)
+    assert code == 2
+    assert "height must be a multiple of 16, got 30" in err

@@ -66,7 +66,7 @@ def batch(
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.calibration import calibration_from
     from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.cli.progress import progress_bar
+    from mobilestereonet.cli.progress import progress_bar, tell_skipped
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
@@ -105,12 +105,7 @@ def batch(
         for outcome in progress.track(outcomes, total=len(todo), description="matching"):
             if outcome.problem:
                 failed += 1
-                progress.console.print(
-                    f"msnet: {outcome.name} skipped: {outcome.problem}",
-                    markup=False,
-                    highlight=False,
-                    soft_wrap=True,
-                )
+                tell_skipped(progress, outcome.name, outcome.problem)
     matched, kept = len(todo) - failed, len(pairs) - len(todo)
     print(f"{output}: {matched} pairs matched, {kept} kept, {failed} failed")
     if failed:

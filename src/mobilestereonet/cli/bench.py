@@ -28,7 +28,7 @@ def bench(
     from mobilestereonet.export.metadata import check_size
     from mobilestereonet.inference.matcher import pretrained_net
     from mobilestereonet.nets.normalise import normalise
-    from mobilestereonet.runtimes.choose import check_device, open_runtime
+    from mobilestereonet.runtimes.choose import check_device, choose_engine
     from mobilestereonet.runtimes.compare import compare_engines, installed_engines
 
     name, net = pretrained_net(model, weights)
@@ -51,5 +51,5 @@ def bench(
             f"{row.difference:.5f}",
         )
     Console().print(table)
-    chosen = open_runtime("auto", net, device=device, threads=threads)
-    print(f"--runtime auto takes {chosen.name} in {chosen.precision}")
+    engine, precision, _ = choose_engine("auto", "auto", device)
+    print(f"--runtime auto takes {engine} in {precision}")

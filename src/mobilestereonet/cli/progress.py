@@ -1,4 +1,4 @@
-"""A progress bar with the rate and the time left."""
+"""A progress bar with the rate and the time left, and what is said above it."""
 
 from __future__ import annotations
 
@@ -40,4 +40,11 @@ def progress_bar(unit: str) -> Progress:
         console=console,
         transient=True,
         disable=not console.is_terminal,
+    )
+
+
+def tell_skipped(progress: Progress, name: str, problem: str) -> None:
+    """Say above the bar what was skipped, and why."""
+    progress.console.print(
+        f"msnet: {name} skipped: {problem}", markup=False, highlight=False, soft_wrap=True
     )

@@ -62,7 +62,7 @@ def video(
 
     from mobilestereonet.cli.calibration import calibration_from
     from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.cli.progress import progress_bar
+    from mobilestereonet.cli.progress import progress_bar, tell_skipped
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
@@ -94,8 +94,7 @@ def video(
         def report(frame: StereoFrame) -> None:
             progress.advance(task)
             if frame.problem:
-                message = f"msnet: frame {frame.name} skipped: {frame.problem}"
-                progress.console.print(message, markup=False, highlight=False, soft_wrap=True)
+                tell_skipped(progress, f"frame {frame.name}", frame.problem)
 
         tally = match_video(
             stream,

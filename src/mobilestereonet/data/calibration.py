@@ -125,8 +125,7 @@ def write_calibration(path: str | Path, calibration: Calibration, size: tuple[in
         size: Width and height of the views, in px.
     """
     width, height = size
-    cx = (width - 1) / 2 if calibration.cx is None else calibration.cx
-    cy = (height - 1) / 2 if calibration.cy is None else calibration.cy
+    cx, cy = calibration.principal_point(width, height)
     focal, doffs = calibration.focal, calibration.doffs
     text = (
         f"cam0=[{focal!r} 0 {cx!r}; 0 {focal!r} {cy!r}; 0 0 1]\n"

@@ -45,6 +45,13 @@ class Calibration:
             if not math.isfinite(getattr(self, name) or 0):
                 raise InputError(f"calibration: {name} must be finite, got {getattr(self, name)}")
 
+    def principal_point(self, width: int, height: int) -> tuple[float, float]:
+        """Column and row of the left view's principal point: its middle, where not known."""
+        return (
+            (width - 1) / 2 if self.cx is None else self.cx,
+            (height - 1) / 2 if self.cy is None else self.cy,
+        )
+
 
 @dataclass(frozen=True)
 class StereoSample:

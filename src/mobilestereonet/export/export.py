@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import shutil
-import statistics
-import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +25,7 @@ from mobilestereonet.export.pairs import calibration_pairs, real_pair
 from mobilestereonet.export.pt2 import PT2
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
 from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.runtimes.compare import times_in_turns
 
 FORMATS: dict[str, Format] = {
     format_.name: format_
@@ -144,7 +143,9 @@ def export_model(
             _compare(run, net, real_pair(larger), format_, TOLERANCE[precision])
         pair = real_pair(size)
         difference = _compare(run, net, pair, format_, TOLERANCE[precision])
-        seconds, torch_seconds = _times(lambda: run(*pair), lambda: _reference(net, pair))
+        seconds, torch_seconds = times_in_turns(
+            lambda: run(*pair), lambda: _reference(net, pair), repeats=_RUNS
+        )
         return replace(
             export,
             mean=difference.mean().item(),
@@ -202,14 +203,3 @@ def _compare(run: Run, net: StereoNet, pair: Pair, name: str, tolerance: float) 
             f"average, above {tolerance} px: nothing written"
         )
     return difference
-
-
-def _times(*functions: Callable[[], object]) -> list[float]:
-    """Median seconds of each, run in turns."""
-    seconds: list[list[float]] = [[] for _ in functions]
-    for _ in range(_RUNS):
-        for times, function in zip(seconds, functions, strict=True):
-            started = time.perf_counter()
-            function()
-            times.append(time.perf_counter() - started)
-    return [statistics.median(times) for times in seconds]

@@ -125,8 +125,7 @@ def point_cloud(depth: FloatMap, colours: Picture, calibration: Calibration) -> 
         One point per pixel with a depth, row by row.
     """
     height, width = depth.shape
-    cx = (width - 1) / 2 if calibration.cx is None else calibration.cx
-    cy = (height - 1) / 2 if calibration.cy is None else calibration.cy
+    cx, cy = calibration.principal_point(width, height)
     rows, columns = np.nonzero(depth)
     z = depth[rows, columns]
     x, y = (columns - cx) * z / calibration.focal, (rows - cy) * z / calibration.focal

@@ -17,11 +17,12 @@ from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
 
 AUTO = "auto"
 
-_CONVERTED: dict[str, type[ConvertedRuntime]] = {
+CONVERTED: dict[str, type[ConvertedRuntime]] = {
     runtime.name: runtime for runtime in (ONNXRuntime, OpenVINORuntime)
 }
+"""The engines that convert a network first, by their names."""
 
-RUNTIMES = (AUTO, TorchRuntime.name, *_CONVERTED)
+RUNTIMES = (AUTO, TorchRuntime.name, *CONVERTED)
 """Names that `open_runtime` takes."""
 
 
@@ -51,17 +52,27 @@ def open_runtime(
         InputError: If a name or value is unknown, the engine is not installed, or it does not
             have the precision or the device.
     """
+    name, precision, device = choose_engine(name, precision, device)
+    if name == TorchRuntime.name:
+        return TorchRuntime(net, device=device, precision=precision, threads=threads)
+    return CONVERTED[name](net, precision=precision, threads=threads, cache=cache)
+
+
+def choose_engine(name: str, precision: str, device: str) -> tuple[str, str, str]:
+    """What "auto" means here for the engine's name, the precision and the device.
+
+    Raises:
+        InputError: If the name or the device is unknown, or the engine does not run there.
+    """
     if name not in RUNTIMES:
         raise InputError(f"unknown runtime {name!r}: there are {', '.join(RUNTIMES)}")
     device = check_device(name, device)
-    if name in (AUTO, TorchRuntime.name):
-        if precision == AUTO:
-            precision = "bf16" if _has_bfloat16(device) else "fp32"
-        return TorchRuntime(net, device=device, precision=precision, threads=threads)
-    engine = _CONVERTED[name]
+    if name == AUTO:
+        name = TorchRuntime.name
     if precision == AUTO:
-        precision = "bf16" if "bf16" in engine.precisions and has_bfloat16() else "fp32"
-    return engine(net, precision=precision, threads=threads, cache=cache)
+        able = name == TorchRuntime.name or "bf16" in CONVERTED[name].precisions
+        precision = "bf16" if able and _has_bfloat16(device) else "fp32"
+    return name, precision, device
 
 
 def check_device(name: str, device: str) -> str:
@@ -78,7 +89,7 @@ def check_device(name: str, device: str) -> str:
     if device != "cpu" and (torch.device(device).index or 0) >= torch.cuda.device_count():
         found = torch.cuda.device_count() or "no"
         raise InputError(f"device {device!r}: PyTorch finds {found} GPU here: use cpu")
-    if name in _CONVERTED and device != "cpu":
+    if name in CONVERTED and device != "cpu":
         raise InputError(f"{name} runs on the cpu, not on {device!r}: use runtime torch there")
     return device
 

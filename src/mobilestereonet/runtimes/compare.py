@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.runtimes.choose import open_runtime
-from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
-from mobilestereonet.runtimes.openvino import OpenVINORuntime
-from mobilestereonet.runtimes.torch import has_bfloat16, use_threads
+from mobilestereonet.runtimes.choose import CONVERTED, open_runtime
+from mobilestereonet.runtimes.scores import use_threads
+from mobilestereonet.runtimes.torch import has_bfloat16
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ def installed_engines(device: str) -> list[tuple[str, str]]:
     if torch.device(device).type != "cpu":
         return [("torch", precision) for precision in ("fp32", "bf16", "fp16")]
     engines = [("torch", "fp32")] + [("torch", "bf16")] * has_bfloat16()
-    for engine in (ONNXRuntime, OpenVINORuntime):
+    for engine in CONVERTED.values():
         if engine.installed():
             engines += [(engine.name, precision) for precision in engine.precisions]
     return engines
@@ -78,19 +77,24 @@ def compare_engines(
         engine = open_runtime(name, net, precision=precision, device=device, threads=threads)
         runs.append(lambda engine=engine: engine(left, right).cpu())  # type: ignore[misc]
     disparities = [run() for run in runs]
-    seconds: list[list[float]] = [[] for _ in runs]
-    for _ in range(repeats):
-        for run, times in zip(runs, seconds, strict=True):
-            started = time.perf_counter()
-            run()
-            times.append(time.perf_counter() - started)
-    medians = [statistics.median(times) for times in seconds]
+    medians = times_in_turns(*runs, repeats=repeats)
     return [
         EngineTime(*name, median, medians[0] / median, float((found - disparities[0]).abs().mean()))
         for name, median, found in zip(
             [("eager", "fp32"), *engines], medians, disparities, strict=True
         )
     ]
+
+
+def times_in_turns(*functions: Callable[[], object], repeats: int) -> list[float]:
+    """Median seconds of each function, all run in turns."""
+    seconds: list[list[float]] = [[] for _ in functions]
+    for _ in range(repeats):
+        for times, function in zip(seconds, functions, strict=True):
+            started = time.perf_counter()
+            function()
+            times.append(time.perf_counter() - started)
+    return [statistics.median(times) for times in seconds]
 
 
 def _eager(

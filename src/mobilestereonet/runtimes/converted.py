@@ -1,11 +1,11 @@
-"""What the engines of converted graphs share: the cache of conversions, and the soft-argmax."""
+"""What the engines of converted graphs share: the cache of conversions."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
 import warnings
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
@@ -22,18 +22,16 @@ from torch import Tensor
 from mobilestereonet import nets, runtimes
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
-from mobilestereonet.nets.confidence import match_confidence
-from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets import StereoNet
 from mobilestereonet.runtimes.graph import narrowest
 from mobilestereonet.runtimes.optimise import optimise
-from mobilestereonet.runtimes.torch import use_threads
+from mobilestereonet.runtimes.scores import ScoresRuntime
 
 Scores = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 """Left and right view (1, 3, H, W) -> scores (1, D, H / 4, W / 4)."""
 
 
-class ConvertedRuntime(ABC):
+class ConvertedRuntime(ScoresRuntime):
     """Runs a network as a converted `Graph`, on the CPU, at any size.
 
     The engine computes the scores, and PyTorch the soft-argmax, which it does some rows at a
@@ -51,8 +49,6 @@ class ConvertedRuntime(ABC):
     extra: ClassVar[str]
     packages: ClassVar[tuple[str, ...]]
     precisions: ClassVar[tuple[str, ...]]
-    normalised = True
-    multiple = SIZE_MULTIPLE
 
     def __init__(
         self,
@@ -83,70 +79,24 @@ class ConvertedRuntime(ABC):
             raise InputError(
                 f"{self.name} computes in {' or '.join(self.precisions)}, not in {precision!r}"
             )
-        if threads is not None and threads < 1:
-            raise InputError(f"threads must be at least 1, got {threads}")
-        self.precision = precision
-        self.threads = threads
-        self.max_disparity = net.config.max_disparity
+        super().__init__(net, precision, threads)
         self._net = copy.deepcopy(net).cpu().float().eval()
-        self._scores = self._open(_default_cache() if cache is None else Path(cache))
+        default = platformdirs.user_cache_path("mobilestereonet", appauthor=False)
+        self._run = self._open(default if cache is None else Path(cache))
 
     @classmethod
     def installed(cls) -> bool:
         """Whether the packages that it needs are there."""
         return all(find_spec(package) is not None for package in cls.packages)
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        """Match the views, one pair after the other.
-
-        Args:
-            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
-
-        Raises:
-            InputError: If the shapes do not fit.
-        """
-        estimator = self._net.config.estimator
-        with torch.inference_mode(), use_threads(self.threads):
-            maps = [regress_disparity(scores, estimator) for scores in self._each(left, right)]
-            return torch.cat(maps).to(left.device)
-
-    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Match the views, and tell how sure the network is.
-
-        Args:
-            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, and its confidence in 0..1, both (B, H, W) float32
-            on the device of ``left``.
-
-        Raises:
-            InputError: If the shapes do not fit.
-        """
-        estimator = self._net.config.estimator
-        with torch.inference_mode(), use_threads(self.threads):
-            maps = [
-                torch.stack(
-                    (regress_disparity(scores, estimator), match_confidence(scores, estimator))
-                )
-                for scores in self._each(left, right)
-            ]
-            disparity, confidence = torch.cat(maps, dim=1).to(left.device)
-            return disparity, confidence
-
-    def _each(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """Scores (1, D, H / 4, W / 4) of each pair."""
+    def _scores(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """Scores of one pair after the other."""
         self._net.check_views(left, right)
         for pair in zip(*(view.float().cpu().split(1) for view in (left, right)), strict=True):
             if left.shape[-1] < narrowest(self._net):
                 yield self._narrow_net.scores(*pair)[-1]
             else:
-                yield torch.from_numpy(self._scores(*(view.numpy() for view in pair)))
+                yield torch.from_numpy(self._run(*(view.numpy() for view in pair)))
 
     @cached_property
     def _narrow_net(self) -> StereoNet:
@@ -155,7 +105,8 @@ class ConvertedRuntime(ABC):
     def _open(self, cache: Path) -> Scores:
         path = cache / f"{self.name}-{self._key()}"
         with suppress(OSError):
-            checksum, model = _split(path.read_bytes())
+            content = path.read_bytes()
+            checksum, model = content[:_CHECKSUM_SIZE], content[_CHECKSUM_SIZE:]
             if checksum == _checksum(model):
                 return self._load(model)
         with warnings.catch_warnings():
@@ -202,13 +153,8 @@ def _forget_old(cache: Path, engine: str) -> None:
         file.unlink()
 
 
+_CHECKSUM_SIZE = hashlib.sha256().digest_size
+
+
 def _checksum(model: bytes) -> bytes:
     return hashlib.sha256(model).digest()
-
-
-def _split(content: bytes) -> tuple[bytes, bytes]:
-    return content[:32], content[32:]
-
-
-def _default_cache() -> Path:
-    return platformdirs.user_cache_path("mobilestereonet", appauthor=False)

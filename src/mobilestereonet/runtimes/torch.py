@@ -6,22 +6,19 @@ import copy
 import ctypes
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import cast
 
 import torch
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
-from mobilestereonet.nets.confidence import match_confidence
-from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets import StereoNet
 from mobilestereonet.runtimes.optimise import fold_norms, optimise, weights_channels_last
+from mobilestereonet.runtimes.scores import ScoresRuntime
 
 _PRECISIONS = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 
-class TorchRuntime:
+class TorchRuntime(ScoresRuntime):
     """Runs a network in eval mode, channels last, without gradients.
 
     The network is copied, so the caller's keeps its mode, device and memory format. On a CPU the
@@ -30,8 +27,6 @@ class TorchRuntime:
     """
 
     name = "torch"
-    normalised = True
-    multiple = SIZE_MULTIPLE
 
     def __init__(
         self,
@@ -61,11 +56,7 @@ class TorchRuntime:
                 f"precision must be one of {', '.join(choices)} on {self.device.type}, "
                 f"got {precision!r}"
             )
-        if threads is not None and threads < 1:
-            raise InputError(f"threads must be at least 1, got {threads}")
-        self.threads = threads
-        self.precision = precision
-        self.max_disparity = net.config.max_disparity
+        super().__init__(net, precision, threads)
         self.dtype = _PRECISIONS[precision]
         if on_cpu:
             _keep_freed_memory()
@@ -76,47 +67,13 @@ class TorchRuntime:
             weights_channels_last(self.net)
         self.net.to(self.device, self.dtype)
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        """Match the views.
-
-        Args:
-            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
-
-        Raises:
-            InputError: If the shapes do not fit.
-        """
-        with torch.inference_mode(), use_threads(self.threads):
-            return cast(Tensor, self.net(*self._views(left, right))).to(left.device)
-
-    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Match the views and tell how sure the network is.
-
-        Args:
-            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, and its confidence in 0..1, both (B, H, W) float32
-            on the device of ``left``.
-
-        Raises:
-            InputError: If the shapes do not fit.
-        """
-        with torch.inference_mode(), use_threads(self.threads):
-            scores = self.net.scores(*self._views(left, right))[-1]
-            estimator = self.net.config.estimator
-            maps = regress_disparity(scores, estimator), match_confidence(scores, estimator)
-            return maps[0].to(left.device), maps[1].to(left.device)
-
-    def _views(self, left: Tensor, right: Tensor) -> list[Tensor]:
-        return [
+    def _scores(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """The scores of all pairs at once."""
+        views = [
             view.to(self.device, self.dtype, memory_format=torch.channels_last)
             for view in (left, right)
         ]
+        yield self.net.scores(*views)[-1]
 
 
 def has_bfloat16() -> bool:
@@ -141,14 +98,3 @@ def _keep_freed_memory() -> None:
     if mallopt is not None:  # musl has none
         mallopt(_M_TRIM_THRESHOLD, -1)
         mallopt(_M_MMAP_MAX, 0)
-
-
-@contextmanager
-def use_threads(count: int | None) -> Iterator[None]:
-    """PyTorch on so many threads for a while; None leaves its setting."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -1,0 +1,95 @@
+"""What the engines of our networks share: disparity and confidence from the scores."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets.confidence import match_confidence
+from mobilestereonet.nets.disparity import regress_disparity
+
+
+class ScoresRuntime(ABC):
+    """An engine that gives a network's scores; PyTorch computes the soft-argmax, in float32.
+
+    Args:
+        net: The network.
+        precision: What the engine computes in.
+        threads: Threads on a CPU; None leaves it to the engine.
+
+    Raises:
+        InputError: If ``threads`` is below 1.
+    """
+
+    normalised = True
+    multiple = SIZE_MULTIPLE
+
+    def __init__(self, net: StereoNet, precision: str, threads: int | None) -> None:
+        if threads is not None and threads < 1:
+            raise InputError(f"threads must be at least 1, got {threads}")
+        self.precision = precision
+        self.threads = threads
+        self.max_disparity = net.config.max_disparity
+        self._estimator = net.config.estimator
+
+    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
+        """Match the views.
+
+        Args:
+            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
+
+        Raises:
+            InputError: If the shapes do not fit.
+        """
+        with torch.inference_mode(), use_threads(self.threads):
+            maps = [regress_disparity(part, self._estimator) for part in self._scores(left, right)]
+            return torch.cat(maps).to(left.device)
+
+    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """Match the views, and tell how sure the network is.
+
+        Args:
+            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
+            right: Right views, the same.
+
+        Returns:
+            Disparity of the left views in px, and its confidence in 0..1, both (B, H, W) float32
+            on the device of ``left``.
+
+        Raises:
+            InputError: If the shapes do not fit.
+        """
+        with torch.inference_mode(), use_threads(self.threads):
+            maps = [
+                torch.stack(
+                    [of(part, self._estimator) for of in (regress_disparity, match_confidence)]
+                )
+                for part in self._scores(left, right)
+            ]
+            disparity, confidence = torch.cat(maps, dim=1).to(left.device)
+            return disparity, confidence
+
+    @abstractmethod
+    def _scores(self, left: Tensor, right: Tensor) -> Iterable[Tensor]:
+        """Scores (b, D, H / 4, W / 4) of some pairs after the other."""
+
+
+@contextmanager
+def use_threads(count: int | None) -> Iterator[None]:
+    """PyTorch on so many threads for a while; None leaves its setting."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
