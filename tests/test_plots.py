@@ -147,14 +147,18 @@ def test_curves(tmp_path, figures):
     }
 
 
-def test_curves_of_two_runs_are_told_apart(tmp_path, figures):
-    logs = [tmp_path / run / "metrics.csv" for run in ("a", "b")]
+def test_starts_of_a_run_share_colour_and_label(tmp_path, figures):
+    logs = [tmp_path / start / "metrics.csv" for start in ("version_0", "version_1")]
     for log in logs:
         log.parent.mkdir()
         log.write_text(LOG)
     plot_curves(logs, tmp_path / "curves.png")
-    labels = [line.get_label() for axes in figures[0].axes for line in axes.lines]
-    assert "a: val/epe" in labels and "b: val/epe" in labels
+    panels = {axes.get_ylabel(): axes for axes in figures[0].axes}
+    assert len(panels) == len(figures[0].axes) == 3
+    colours = [line.get_color() for line in panels["loss"].lines]
+    assert len(colours) == 4 and len(set(colours)) == 2
+    labels = [text.get_text() for text in panels["loss"].get_legend().get_texts()]
+    assert labels == ["train/loss_step", "val/loss"]
 
 
 def test_curves_of_bad_logs(tmp_path):

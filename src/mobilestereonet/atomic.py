@@ -35,9 +35,12 @@ def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None
             folder, with the same ending.
 
     Raises:
+        InputError: If ``path`` is a folder.
         OSError: If the file cannot be written. ``path`` is then as it was.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name the file, too")
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{uuid4().hex[:12]}.{path.name}")
     try:

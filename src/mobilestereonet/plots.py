@@ -6,6 +6,7 @@ Every picture is an RGB array of shape (H, W, 3), uint8.
 from __future__ import annotations
 
 import csv
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from mobilestereonet.errors import InputError
 
 Picture = NDArray[np.uint8]
 Map = Tensor | NDArray[Any]
+_Curve = tuple[list[float], list[float]]
 
 # The development kit of KITTI 2015 gives each doubling of the error the next of ten colours, from
 # 1/16 of the threshold on; the sixth begins at the threshold. They are ColorBrewer's RdYlBu.
@@ -112,6 +114,26 @@ def error_map(
     return np.where(known[..., None], colours, 0).astype(np.uint8)
 
 
+def thicken(picture: Picture, known: Map) -> Picture:
+    """Spread each known pixel over its unknown neighbours, so that single ones can be seen.
+
+    Args:
+        picture: (H, W, 3).
+        known: (H, W), False where the picture shows nothing.
+
+    Returns:
+        (H, W, 3) uint8, black where neither a pixel nor one of its eight neighbours is known.
+    """
+    known = _array(known).astype(bool)
+    # Each pixel gets the label of the nearest known one; each known pixel has a label of its own.
+    distance, labels = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    colours = np.zeros((int(labels.max()) + 1, 3), np.uint8)
+    colours[labels[known]] = picture[known]
+    return np.where((distance <= 1)[..., None], colours[labels], 0).astype(np.uint8)
+
+
 def side_by_side(panels: Sequence[Picture], titles: Sequence[str] | None = None) -> Picture:
     """Put pictures into one row on white.
 
@@ -181,12 +203,13 @@ def _contact_row(sample: StereoSample, width: int) -> Picture:
 
 
 def plot_curves(logs: Sequence[Path], picture: Path) -> None:
-    """Draw the curves of training runs, one panel for each kind of figure.
+    """Draw the curves of a training run, one panel for each kind of figure.
 
     ``train/loss`` and ``val/loss`` share the panel ``loss``, which has a logarithmic axis.
 
     Args:
-        logs: The ``metrics.csv`` files of Lightning's CSVLogger.
+        logs: The ``metrics.csv`` files of Lightning's CSVLogger, one for each start of the run.
+            Where a resumed run did steps again, both curves are drawn.
         picture: PNG file to write.
 
     Raises:
@@ -195,38 +218,46 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
     """
     # Imported here: pictures of disparities need no matplotlib, and its import is slow.
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatter
 
-    families: dict[str, list[tuple[str, list[float], list[float]]]] = defaultdict(list)
+    families: dict[str, dict[str, list[_Curve]]] = defaultdict(lambda: defaultdict(list))
     for log in logs:
-        prefix = f"{log.parent.name}: " if len(logs) > 1 else ""
-        for column, (steps, values) in _curves(log).items():
+        for column, curve in _curves(log).items():
             name = column.removesuffix("_step").removesuffix("_epoch")
             family = "lr" if name.startswith("lr") else name.rsplit("/", 1)[-1]
-            families[family].append((prefix + column, steps, values))
+            families[family][column].append(curve)
     if not families:
         listed = ", ".join(str(log) for log in logs)
         raise InputError(f"{listed}: no curve in it; it needs a column step and numbers beside it")
-    figure = Figure(figsize=(9, 2.6 * len(families)), layout="constrained")
-    panels = figure.subplots(len(families), sharex=True, squeeze=False)[:, 0]
-    for axes, (family, curves) in zip(panels, sorted(families.items()), strict=True):
-        for label, steps, values in curves:
-            marker = "." if len(values) < 30 else ""
-            axes.plot(steps, values, label=label, linewidth=1, marker=marker)
+    rows = math.ceil(len(families) / 2)
+    figure = Figure(figsize=(13, 2.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
+    for axes, (family, columns) in zip(panels, sorted(families.items()), strict=False):
+        for index, (column, starts) in enumerate(sorted(columns.items())):
+            for start, (steps, values) in enumerate(starts):
+                marker = "." if len(values) < 30 else ""
+                label = None if start else column
+                axes.plot(steps, values, f"C{index}", label=label, linewidth=1, marker=marker)
         axes.set_ylabel(family)
-        if "loss" in family and not any(value <= 0 for _, _, values in curves for value in values):
+        if "loss" in family and all(y > 0 for line in axes.lines for y in line.get_ydata()):
             axes.set_yscale("log")
+            axes.yaxis.set_major_formatter(LogFormatter())
+            axes.yaxis.set_minor_formatter(LogFormatter())
+        axes.set_xlabel("step")
+        axes.tick_params(labelbottom=True)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
-    panels[-1].set_xlabel("step")
+    for axes in panels[len(families) :]:
+        axes.remove()
     write_atomically(picture, lambda path: figure.savefig(path, format="png", dpi=120))
 
 
-def _curves(log: Path) -> dict[str, tuple[list[float], list[float]]]:
+def _curves(log: Path) -> dict[str, _Curve]:
     """Columns of a CSV log that hold numbers: each one's steps and values.
 
     The logger writes a row per event and leaves the other columns empty.
     """
-    curves: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
+    curves: dict[str, _Curve] = defaultdict(lambda: ([], []))
     with log.open(newline="") as file:
         for row in csv.DictReader(file):
             step = row.pop("step", None)

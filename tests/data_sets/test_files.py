@@ -339,6 +339,9 @@ def test_write_atomically_never_leaves_a_part(tmp_path):
     assert target.read_text() == "first"
     assert list(target.parent.iterdir()) == [target]
 
+    with pytest.raises(InputError, match="folder is a folder: name the file"):
+        write_atomically(target.parent, write)
+
 
 def test_written_files_follow_the_umask(tmp_path):
     before = os.umask(0o027)

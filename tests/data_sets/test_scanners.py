@@ -505,6 +505,9 @@ def test_pair_folder_wildcards_and_scale(tmp_path):
     check_disparity(open_data_set("folder", tmp_path, scale=4, **options)[0], 7.5)
     with pytest.raises(InputError, match="needs its scale"):
         open_data_set("folder", tmp_path, **options)[0]
+    for wrong in (0, -4, float("nan")):
+        with pytest.raises(InputError, match=r"D1\.png: its scale .* must be positive"):
+            open_data_set("folder", tmp_path, scale=wrong, **options)[0]
 
 
 def test_missing_files_are_named(tmp_path):
@@ -515,8 +518,28 @@ def test_missing_files_are_named(tmp_path):
     (tmp_path / "training" / "image_3" / name).unlink()
     with pytest.raises(FileNotFoundError, match=r"image_2/000007_10.*image_3/000007_10"):
         KITTI2015(tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"nothing found in .*nowhere: no training/image_2"):
+    with pytest.raises(
+        FileNotFoundError, match=r"nothing found in .*nowhere: no training/image_2.*no such folder"
+    ):
         KITTI2015(tmp_path / "nowhere")
+    for folder in "hgfedcba":
+        (tmp_path / "other" / folder).mkdir(parents=True)
+    with pytest.raises(FileNotFoundError, match=r"it holds a, b, c, d, e, f, \.\.\.$"):
+        KITTI2015(tmp_path / "other")
+
+
+def test_pairs_without_ground_truth_are_refused(tmp_path):
+    name = put_kitti(tmp_path / "training", 7, 2015)
+    put_kitti(tmp_path / "testing", 7, 2015)
+    KITTI2015(tmp_path).require_truth()
+    with pytest.raises(InputError, match=r"\(testing\) has no .*: training, train, val$"):
+        KITTI2015(tmp_path, split="testing").require_truth()
+    options = {"left": "training/image_2/*_10.png", "right": "training/image_3/*_10.png"}
+    with pytest.raises(InputError, match='--set "disparity=disparity/'):
+        open_data_set("folder", tmp_path, **options).require_truth()
+    pairs = open_data_set("folder", tmp_path, disparity="training/disp_occ_0/*_10.png", **options)
+    pairs.require_truth()
+    assert pairs.frames[0].disparity == tmp_path / "training" / "disp_occ_0" / name
 
 
 def test_sizes_must_agree(tmp_path):
@@ -543,6 +566,15 @@ def test_registry(tmp_path):
         open_data_set("kitti", tmp_path)
     with pytest.raises(InputError, match="kitti2015 has no option 'size', only split, strict"):
         open_data_set("kitti2015", tmp_path, size=3)
+    for name, options, word in (
+        ("folder", {"scale": "four"}, r"folder: scale must be float \| None, got 'four'"),
+        ("folder", {"scale": True}, "scale must be"),
+        ("folder", {"disparity": 7}, r"disparity must be str \| None, got 7"),
+        ("kitti2012", {"grey": "no"}, "kitti2012: grey must be true or false, got 'no'"),
+        ("kitti2012", {"grey": 1}, "grey must be true or false"),
+    ):
+        with pytest.raises(InputError, match=word):
+            open_data_set(name, tmp_path, **options)
     for name in data_sets():
         with pytest.raises(InputError, match="unknown split, choose one of"):
             open_data_set(name, tmp_path, split="nonsense")

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import math
 
@@ -120,6 +121,30 @@ def test_pictures(tmp_path):
     np.testing.assert_array_equal(picture[-20, -30, ::-1], (224, 243, 248))
 
 
+def test_pictures_share_the_range_of_the_ground_truth(tmp_path):
+    sample = _sample("a", 30, 50)
+    last = (122, 4, 3)  # turbo's
+    for factor in (0.5, 4):
+        _evaluate([sample], lambda left, _, f=factor: f * sample.disparity[None], pictures=tmp_path)
+        disparity = cv2.imread(str(tmp_path / "a.png"))[-30:, 54:104, ::-1]
+        assert (disparity == last).all(2).any() == (factor > 1)
+
+
+def test_a_sparse_error_map_shows_thick_points(tmp_path):
+    sample = _sample("a", 30, 50)
+    valid = torch.zeros(30, 50, dtype=torch.bool)
+    valid[10, 20] = valid[10, 23] = True
+    prediction = sample.disparity.clone()
+    prediction[10, 23] += 100
+    _evaluate(
+        [dataclasses.replace(sample, valid=valid)], lambda *_: prediction[None], pictures=tmp_path
+    )
+    errors = cv2.imread(str(tmp_path / "a.png"))[-30:, -50:, ::-1]
+    assert (errors[9:12, 19:22] == (49, 54, 149)).all()
+    assert (errors[9:12, 22:25] == (165, 0, 38)).all()
+    assert (errors != 0).any(2).sum() == 18
+
+
 def test_json(tmp_path):
     protocol = EvaluationProtocol(max_disparity=math.inf)
     save_evaluations([_evaluate([_sample("a", 4, 6)], protocol=protocol)], tmp_path / "a.json")
@@ -216,5 +241,8 @@ def test_command_with_bad_input(kitti, tmp_path):
         command("kitty", kitti, ["sgbm"])
     with pytest.raises(InputError, match="no option 'size'"):
         command("kitti2015", kitti, ["sgbm"], assignments=["size=H"])
+    (kitti / "training").rename(kitti / "testing")
+    with pytest.raises(InputError, match="no ground truth: choose another split"):
+        command("kitti2015", kitti, ["sgbm"], split="testing")
     with pytest.raises(InputError, match="belongs to one model"):
         command("kitti2015", kitti, ["sgbm", "msnet2d"], weights=tmp_path / "w.safetensors")

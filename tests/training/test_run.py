@@ -35,9 +35,12 @@ def _train(folder, recipe=RECIPE, **options):
     return train(recipe, folder, accelerator="cpu", progress=False, **options)
 
 
-def test_a_run_and_its_folder(tmp_path):
+def test_a_run_and_its_folder(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
     folder = tmp_path / "new" / "run"
     module = _train(folder)
+    assert said[-1] == f"{folder}/weights.safetensors: {RECIPE.model} after 2 of 2 steps"
     names = {path.name for path in folder.iterdir()}
     assert names == {"recipe.json", "last.ckpt", "csv", "tensorboard", "weights.safetensors"}
     assert read_recipe(folder / "recipe.json") == RECIPE
@@ -56,6 +59,19 @@ def test_a_run_and_its_folder(tmp_path):
     current = torch.load(folder / "last.ckpt", weights_only=False)["current_model_state"]
     name = "heads.1.score.weight"
     assert not torch.equal(weights[name], current[f"net.{name}"].half())
+
+    assert not any("recipe has changed" in line for line in said)
+    _train(folder, replace(RECIPE, lr=2 * RECIPE.lr), resume=True)
+    change = f"recipe has changed: lr {RECIPE.lr} -> {2 * RECIPE.lr}"
+    assert any(line.endswith(change) for line in said)
+
+
+def test_pairs_without_ground_truth_are_refused_before_the_first_step(tmp_path):
+    for view in ("left", "right"):
+        write_png(tmp_path / "pairs" / view / "0.png", np.zeros((32, 48, 3), np.uint8))
+    with pytest.raises(InputError, match=r"no ground truth: .*data_options\.disparity"):
+        _train(tmp_path / "run", replace(RECIPE, data="folder"), root=tmp_path / "pairs")
+    assert not (tmp_path / "run" / "last.ckpt").exists()
 
 
 def test_initial_weights(tmp_path):

@@ -52,7 +52,7 @@ def ablate(
     if steps is not None:
         values |= {"steps": steps, "epochs": None}
     chosen = override(get_recipe(recipe), values)
-    names = models.split(",") if models else table_models(table)
+    names = [model.strip() for model in models.split(",")] if models else table_models(table)
     rows = []
     for row in run(
         names,

@@ -54,4 +54,4 @@ def preview(
         chosen = np.random.default_rng(seed).choice(len(pairs), count, replace=False)
         samples = (pairs[index] for index in sorted(chosen.tolist()))
     write_png(output, contact_sheet(samples))
-    print(f"{output}: {count} pairs of {name}")
+    print(f"{output}: {count} pair{'s' if count > 1 else ''} of {name}")

@@ -78,6 +78,7 @@ def evaluate(
     if split is not None:
         options["split"] = split
     pairs = open_data_set(data, root, **options)
+    pairs.require_truth()
     protocol = authors_protocol(data) if authors else EvaluationProtocol()
     protocol = replace(protocol, max_disparity=max_disparity)
     # The padding is one of normalised views, which sgbm does not take.

@@ -38,6 +38,7 @@ def submit(
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
     from mobilestereonet.inference import StereoMatcher
 
@@ -46,6 +47,8 @@ def submit(
         weights=weights,
         **engine_options(model, runtime, precision, threads, device),
     )
+    if output.is_dir():
+        raise InputError(f"{output} is a folder: name the ZIP file, too")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
     make_folder(output.parent)
@@ -55,7 +58,8 @@ def submit(
     progress = track(places, benchmark, console=console, transient=True, disable=quiet)
     pairs = (part[index] for part, index in progress)
     write_submission(plan, matcher.disparity, pairs, output)
+    times = f", {len(plan.runtimes)} files with times" if plan.runtimes else ""
     print(
-        f"{output}: {len(plan.maps)} disparity maps, {len(plan.runtimes)} times; "
+        f"{output}: {len(plan.maps)} disparity maps{times}; "
         "names, counts, types and sizes are as the server wants them"
     )

@@ -6,6 +6,7 @@ float32 disparities in pixels, 0 where unknown, and a mask that is True where kn
 
 from __future__ import annotations
 
+import math
 from io import BytesIO
 from pathlib import Path
 
@@ -46,6 +47,12 @@ def _grey_levels(path: str | Path, *allowed_bits: int) -> Array:
     return levels
 
 
+def _disparity_of_levels(path: str | Path, levels: Array, scale: float) -> tuple[FloatMap, Mask]:
+    if not 0 < scale < math.inf:
+        raise InputError(f"{path}: its scale (levels per pixel) must be positive, got {scale}")
+    return _masked(levels / np.float32(scale))
+
+
 def read_disparity_png(
     path: str | Path, scale: float = KITTI_SCALE, bits: int = 16
 ) -> tuple[FloatMap, Mask]:
@@ -63,10 +70,9 @@ def read_disparity_png(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        InputError: If the file is no single-channel image of that depth.
+        InputError: If the file is no single-channel image of that depth, or the scale not positive.
     """
-    levels = _grey_levels(path, bits)
-    return _masked(levels / np.float32(scale))
+    return _disparity_of_levels(path, _grey_levels(path, bits), scale)
 
 
 def write_disparity_png(
@@ -181,7 +187,8 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
 
     Raises:
         FileNotFoundError: If there is no such file.
-        InputError: If the file does not hold disparities, or an 8-bit image comes without scale.
+        InputError: If the file does not hold disparities, an 8-bit image comes without scale, or
+            the scale is not positive.
     """
     path = Path(path)
     if path.suffix.lower() == ".pfm":
@@ -197,7 +204,7 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
     levels = _grey_levels(path, 8, 16)
     if scale is None and levels.dtype == np.uint8:
         raise InputError(f"{path}: an 8-bit disparity image needs its scale (levels per pixel)")
-    return _masked(levels / np.float32(scale or KITTI_SCALE))
+    return _disparity_of_levels(path, levels, KITTI_SCALE if scale is None else scale)
 
 
 def read_levels(path: str | Path) -> Array:

@@ -19,7 +19,14 @@ from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
 from mobilestereonet.metrics import StereoMetrics, StereoScores
-from mobilestereonet.plots import Picture, colour_disparity, error_map, side_by_side, to_picture
+from mobilestereonet.plots import (
+    Picture,
+    colour_disparity,
+    error_map,
+    side_by_side,
+    thicken,
+    to_picture,
+)
 
 Match = Callable[[Tensor, Tensor], Tensor]
 """Left and right views, (B, 3, H, W) RGB in 0..1, to disparity in px, (B, H, W).
@@ -228,9 +235,11 @@ def _crop(sample: StereoSample, size: tuple[int, int] | None) -> StereoSample:
 def _picture(sample: StereoSample, prediction: Tensor, max_disparity: float) -> Picture:
     assert sample.disparity is not None and sample.valid is not None  # metrics saw to it
     scored = sample.valid & (sample.disparity > 0) & (sample.disparity < max_disparity)
-    panels = [
-        to_picture(sample.left),
-        colour_disparity(prediction),
-        error_map(prediction, sample.disparity, scored, sample.occluded),
-    ]
-    return side_by_side(panels, [sample.name, "disparity", "error, as KITTI colours it"])
+    # One range for all models, whose pictures are compared.
+    largest = float(sample.disparity[scored].max()) if scored.any() else None
+    errors = error_map(prediction, sample.disparity, scored, sample.occluded)
+    if scored.float().mean() < 0.5:
+        errors = thicken(errors, scored)
+    panels = [to_picture(sample.left), colour_disparity(prediction, largest), errors]
+    title = "disparity" if largest is None else f"disparity, to {largest:.0f} px"
+    return side_by_side(panels, [sample.name, title, "error, as KITTI colours it"])

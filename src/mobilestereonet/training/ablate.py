@@ -16,7 +16,7 @@ from mobilestereonet.costs.paper import paper_tables
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import EvaluationProtocol, evaluate
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.nets import list_models
+from mobilestereonet.nets import list_models, model_config
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import RunData, train
 
@@ -89,6 +89,8 @@ def ablate(
     Raises:
         InputError: If a network is unknown, or its folder holds a run under another recipe.
     """
+    for model in models:
+        model_config(model)  # a wrong name is told now, not after the runs before it
     rows: list[AblationRow] = []
     for model in models:
         own, run = replace(recipe, model=model), folder / model

@@ -203,6 +203,8 @@ def read_recipe(path: Path) -> Recipe:
         FileNotFoundError: If there is no such file.
         InputError: If the file is no recipe.
     """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path.parent} holds no run: there is no {path.name} in it")
     try:
         return cast(Recipe, _build(Recipe, json.loads(path.read_text("utf-8")), "recipe"))
     except (ValueError, InputError) as error:  # ValueError: no JSON, or no text at all

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from mobilestereonet.training.callbacks import (
     moving_average,
 )
 from mobilestereonet.training.module import StereoModule
-from mobilestereonet.training.recipe import Recipe
+from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.weights import load_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
@@ -70,7 +70,9 @@ class RunData(L.LightningDataModule):
         def files(options: dict[str, Any]) -> Dataset[StereoSample]:
             if self.root is None:
                 raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
-            return open_data_set(recipe.data, self.root, **options)
+            pairs = open_data_set(recipe.data, self.root, **options)
+            pairs.require_truth()
+            return pairs
 
         procedural = recipe.data == "procedural"
         train = scenes(0, recipe.scenes.length) if procedural else files(recipe.data_options)
@@ -169,7 +171,7 @@ def train(
     if resume and not last.is_file():
         raise InputError(f"nothing to resume: {last} is not there; start without --resume")
     if not resume and last.exists():
-        raise InputError(f"{folder} holds a run already: resume it, or choose another folder")
+        raise InputError(f"{folder} holds a run already: --resume it, or choose another folder")
     data = RunData(recipe, root, textures, workers)
     ranks = devices * num_nodes
     if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:
@@ -214,6 +216,8 @@ def train(
         )
     except (MisconfigurationException, ValueError) as error:
         raise InputError(f"Lightning refuses these settings: {error}") from None
+    if resume and (changed := _changed(read_recipe(folder / "recipe.json"), recipe)):
+        rank_zero_info(f"Not an exact continuation, the recipe has changed: {changed}")
     text = recipe.to_json() + "\n"
     write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
     if global_batch != recipe.lr_batch:
@@ -229,7 +233,19 @@ def train(
         average.on_train_end(trainer, module)
     if trainer.is_global_zero:
         save_weights(module.net, folder / "weights.safetensors")
+    done = trainer.global_step
+    rank_zero_info(
+        f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
+        + ("" if done >= steps else "; --resume goes on")
+    )
     return module
+
+
+def _changed(before: Recipe, now: Recipe) -> str:
+    """Values that differ, in words."""
+    names = [field.name for field in fields(Recipe)]
+    values = [(name, getattr(before, name), getattr(now, name)) for name in names]
+    return ", ".join(f"{name} {old} -> {new}" for name, old, new in values if old != new)
 
 
 def _is_no_advertisement(record: logging.LogRecord) -> bool:

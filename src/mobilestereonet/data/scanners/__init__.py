@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
 from mobilestereonet.data.scanners.driving_stereo import DrivingStereo
@@ -81,13 +80,25 @@ def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
 
     Raises:
         FileNotFoundError: If nothing is found, or a file of a frame is missing.
-        InputError: If the name or an option is unknown.
+        InputError: If the name or an option is unknown, or an option's value of the wrong type.
     """
     known = data_sets()
     if name not in known:
         raise InputError(f"unknown data set {name!r}, choose one of {', '.join(known)}")
-    allowed = [key for key in inspect.signature(known[name]).parameters if key != "root"]
-    for option in options:
-        if option not in allowed:
-            raise InputError(f"{name} has no option {option!r}, only {', '.join(allowed)}")
+    hints = get_type_hints(known[name].__init__)
+    del hints["root"], hints["return"]
+    for option, value in options.items():
+        if option not in hints:
+            raise InputError(f"{name} has no option {option!r}, only {', '.join(hints)}")
+        _check_type(f"{name}: {option}", value, hints[option])
     return known[name](root, **options)
+
+
+def _check_type(name: str, value: Any, hint: Any) -> None:
+    """Refuse what a command line may give in place of a value of the hinted type."""
+    kinds = get_args(hint) or (hint,)
+    if float in kinds:
+        kinds += (int,)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        wanted = "true or false" if hint is bool else hint
+        raise InputError(f"{name} must be {wanted}, got {value!r}")

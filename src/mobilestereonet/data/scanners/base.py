@@ -55,8 +55,9 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         frames: The frames found, in the order of their paths.
 
     Raises:
-        FileNotFoundError: If no left view is found (the message names the root and the
-            patterns), or if a right view or a ground truth is missing (it names both files).
+        FileNotFoundError: If no left view is found (the message names the root, the patterns
+            and what is there instead), or if a right view or a ground truth is missing (it names
+            both files).
         InputError: If the split is unknown or, with ``strict``, the number of frames is not the
             official one.
     """
@@ -74,7 +75,9 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             self.frames = [replace(frame, disparity=None) for frame in self.frames]
         if not self.frames:
             looked_for = ", ".join(self.patterns())
-            raise FileNotFoundError(f"{self}: nothing found in {self.root}: no {looked_for}")
+            raise FileNotFoundError(
+                f"{self}: nothing found in {self.root}: no {looked_for}; {_content(self.root)}"
+            )
         for frame in self.frames:
             _check_files(frame)
         self._check_count(strict)
@@ -98,6 +101,20 @@ class StereoDataSet(Dataset[StereoSample], ABC):
     def official_count(self) -> int | None:
         """Number of frames that the complete set has; None if there is no such number."""
         return self.splits[self.split]
+
+    def require_truth(self) -> None:
+        """Refuse pairs without ground truth, before any work is done with them.
+
+        Raises:
+            InputError: If they have none; the message names the way out.
+        """
+        if self.frames[0].disparity is None:
+            raise InputError(f"{self} has no ground truth: {self.truth_advice()}")
+
+    def truth_advice(self) -> str:
+        """How to get ground truth where this set has none, for a message."""
+        others = [split for split in self.splits if split not in self.withheld]
+        return f"choose another split: {', '.join(others)}"
 
     @abstractmethod
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
@@ -197,6 +214,15 @@ def _check_files(frame: Frame) -> None:
         raise FileNotFoundError(f"{frame.left}: its right view {frame.right} is missing")
     if frame.disparity is not None and not frame.disparity.is_file():
         raise FileNotFoundError(f"{frame.left}: its ground truth {frame.disparity} is missing")
+
+
+def _content(root: Path) -> str:
+    """What a folder holds, in a few words."""
+    if not root.is_dir():
+        return "there is no such folder"
+    names = sorted(path.name for path in root.iterdir())
+    more = ", ..." if len(names) > 6 else ""
+    return f"it holds {', '.join(names[:6]) or 'nothing'}{more}"
 
 
 def _size(tensor: torch.Tensor) -> str:

@@ -87,6 +87,13 @@ class PairFolder(StereoDataSet):
             disparity=None if self.disparity is None else self.root / _fill(self.disparity, parts),
         )
 
+    def truth_advice(self) -> str:
+        """The option that names it."""
+        return (
+            "tell where it is by the option disparity, such as "
+            '--set "disparity=disparity/*.pfm" (in a recipe, data_options.disparity)'
+        )
+
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
         """Disparity in the format that the ending tells."""
         return read_disparity(truth, self.scale)
