@@ -26,8 +26,12 @@ def _write_calibrations(folder):
     in_mm = left - [[0, 0, 0, 1000 * FOCAL * BASELINE], [0] * 4, [0] * 4]
     write_calibration(folder / "calib.txt", Calibration(FOCAL, BASELINE), (WIDTH, HEIGHT))
     rows = [" ".join(map(repr, matrix.ravel().tolist())) for matrix in (left, right)]
-    kitti = "".join(f"P_rect_{2 + index:02d}: {row}\n" for index, row in enumerate(rows))
-    (folder / "calib_cam_to_cam.txt").write_text(kitti)
+    for name, key in (
+        ("calib_cam_to_cam.txt", "P_rect_0{}"),
+        ("kitti_odometry/sequences/00/calib.txt", "P{}"),
+    ):
+        lines = (f"{key.format(2 + index)}: {row}\n" for index, row in enumerate(rows))
+        (folder / name).write_text("".join(lines))
     ros = f"projection_matrix:\n  rows: 3\n  cols: 4\n  data: {right.ravel().tolist()}\n"
     (folder / "right.yaml").write_text(ros)
     _write_opencv(folder / "rectified.yml", P1=left, P2=in_mm)
@@ -35,16 +39,45 @@ def _write_calibrations(folder):
     _write_opencv(folder / "stereo.yml", **straight, T=np.array([-1000 * BASELINE, 0, 0]))
 
 
+LAYOUTS = {
+    "run/{}/00{}.png": ("left", "right"),
+    "run/cam{}_{}.png": (0, 1),
+    "scenes/{1}/im{0}.png": (0, 1),
+    "kitti_odometry/sequences/00/image_{}/00000{}.png": (2, 3),
+}
+"""Names of sequences on the streams' page, and what tells the sides apart."""
+
+
+def _write_sequences(folder, left, right):
+    """Two frames in each layout, and as videos."""
+    for layout, sides in LAYOUTS.items():
+        for side, view in zip(sides, (left, right), strict=True):
+            for index in range(2):
+                path = folder / layout.format(side, index)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                assert cv2.imwrite(str(path), view)
+    videos = {"left": left, "right": right, "side_by_side": np.hstack([left, right])}
+    for name, view in videos.items():
+        code = cv2.VideoWriter.fourcc(*"mp4v")
+        video = cv2.VideoWriter(str(folder / f"{name}.mp4"), code, 10, view.shape[1::-1])
+        for _ in range(2):
+            video.write(view)
+        video.release()
+
+
 @pytest.fixture(scope="session")
 def shared_files(tmp_path_factory):
     """A small real pair under the pages' names, with calibrations and ground truth."""
     folder = tmp_path_factory.mktemp("pages")
     *views, truth = stereo_motorcycle()
-    for name, view in zip(("left", "right"), views, strict=True):
-        small = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    left, right = (
+        cv2.resize(view[..., ::-1], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for view in views
+    )
+    for name, view in (("left", left), ("right", right)):
         (folder / "my_pairs" / name).mkdir(parents=True)
         for path in (f"{name}.png", f"raw_{name}.png", f"my_pairs/{name}/000.png"):
-            assert cv2.imwrite(str(folder / path), cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+            assert cv2.imwrite(str(folder / path), view)
+    _write_sequences(folder, left, right)
     scale = WIDTH / truth.shape[1]
     small = cv2.resize(truth * scale, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
     (folder / "my_pairs" / "disparity").mkdir()

@@ -11,12 +11,13 @@ import pytest
 import typer
 from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
 
+from extras import need_extra
 from mobilestereonet.cli.assignments import parse_assignments
 from mobilestereonet.cli.main import app, main
 from mobilestereonet.training.recipe import get_recipe, override
 
-TESTED_ELSEWHERE = {"streams.md": "tests/streams", "web.md": "tests/web", "CONTRIBUTING.md": "CI"}
-"""Pages whose blocks need videos, extras, a browser or hours, and where their commands run."""
+EXTRAS = {"streams.md": ("av", "ray.data")}
+"""What pages need that the base package does not bring."""
 
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
@@ -106,8 +107,10 @@ def _run_command(words, monkeypatch, capsys, where):
 
 @pages
 def test_blocks_run(page, shared_files, tmp_path, monkeypatch, capsys):
-    if page.name in TESTED_ELSEWHERE:
-        pytest.skip(f"{TESTED_ELSEWHERE[page.name]} runs these commands")
+    if page.name == "CONTRIBUTING.md":
+        pytest.skip("CI runs these commands")
+    for module in EXTRAS.get(page.name, ()):
+        need_extra(module)
     shutil.copytree(shared_files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     names = {"__name__": page.name}

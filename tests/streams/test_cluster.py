@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from noise_pairs import centre, make_pair
 
+from extras import need_extra
 from mobilestereonet import StereoMatcher
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
@@ -45,7 +46,7 @@ def notes(folder):
 
 
 def test_a_killed_worker_loses_nothing_and_what_is_finished_stays(tmp_path):
-    pytest.importorskip("ray.data")
+    need_extra("ray.data")
     from ray import cloudpickle
 
     # The workers cannot import what only tests have.
@@ -96,7 +97,7 @@ def test_a_worker_keeps_opencv_to_its_cores(tmp_path):
 
 
 def test_a_cluster_that_is_not_there(tmp_path, sequence):
-    pytest.importorskip("ray.data")
+    need_extra("ray.data")
     pairs = find_pairs(sequence / "left", sequence / "right")
     with pytest.raises(InputError, match="no Ray cluster at 'auto'"):
         list(match_on_ray(pairs, MapFiles(tmp_path / "maps"), lambda: None, address="auto"))

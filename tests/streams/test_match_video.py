@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from noise_pairs import centre
 
+from extras import need_extra
 from mobilestereonet import StereoResult
 from mobilestereonet.data import Calibration
 from mobilestereonet.errors import InputError
@@ -142,7 +143,7 @@ def test_nothing_is_made_of_a_stream_that_gives_nothing(sequence, matcher, tmp_p
 
 
 def test_the_video_shows_the_frames_in_steady_colours(sequence, matcher, tmp_path):
-    pytest.importorskip("av")
+    need_extra("av")
     from mobilestereonet.streams.video_files import VideoFile
 
     for side in ("left", "right"):

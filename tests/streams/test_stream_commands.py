@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from noise_pairs import centre, make_pair
 
+from extras import need_extra
 from mobilestereonet.cli.main import main
 from mobilestereonet.runtimes.sgbm import StereoSGBM
 
@@ -104,7 +105,7 @@ def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
 @pytest.mark.parametrize("output", ["a.mp4", "new/../a.mp4"])
 @pytest.mark.parametrize("sources", [("a.mp4",), ("b.mp4", "a.mp4"), ("file://a.mp4",)])
 def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sources, output):
-    pytest.importorskip("av")
+    need_extra("av")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.mp4").write_bytes(b"precious")
     code, out, err = msnet("video", *sources, "-o", output)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from noise_pairs import make_pair
 
+from extras import need_extra
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import open_stream
 from mobilestereonet.streams.video_files import VideoFile, open_videos, write_video
 
-av = pytest.importorskip("av")
+av = need_extra("av")
 
 
 def joined(count):

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 import torch
 
+from extras import need_extra
 from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
 from mobilestereonet.web.uploads import Limits
 
-gr = pytest.importorskip("gradio")
+gr = need_extra("gradio")
 
 from mobilestereonet.web.page import Handlers, Offer, build_page  # noqa: E402
 from mobilestereonet.web.server import running  # noqa: E402
