@@ -31,6 +31,12 @@ def test_engines_are_timed_against_the_plain_network():
     assert others[0].difference < 1e-4 < others[1].difference < 1
 
 
+def test_the_fastest_of_each_precision():
+    rows = [("eager", "fp32", 1), ("torch", "fp32", 3), ("openvino", "fp32", 2), ("a", "bf16", 4)]
+    times = [compare.EngineTime(*row, ratio=1.0, difference=0.0) for row in rows]
+    assert compare.fastest(times) == {"fp32": "openvino", "bf16": "a"}
+
+
 def test_only_installed_engines_are_named(monkeypatch):
     monkeypatch.setattr(ONNXRuntime, "installed", classmethod(lambda _: False))
     monkeypatch.setattr(OpenVINORuntime, "installed", classmethod(lambda _: True))
@@ -49,7 +55,7 @@ def test_command(msnet, tmp_path, monkeypatch):
     lines = out.splitlines()
     assert any("eager" in line and "1.00" in line for line in lines)
     assert any("torch" in line and "fp32" in line for line in lines)
-    assert lines[-1].startswith("--runtime auto takes ")
+    assert lines[-1].startswith("--runtime auto takes torch in ")
     code, _, err = msnet(*arguments, "--size", 30, 64)
     assert code == 2
     assert "height must be a multiple of 16, got 30" in err

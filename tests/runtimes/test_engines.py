@@ -9,7 +9,12 @@ from torch import nn
 
 from mobilestereonet import InputError, create_model
 from mobilestereonet.runtimes.base import ConfidentRuntime
-from mobilestereonet.runtimes.choose import RUNTIMES, open_runtime
+from mobilestereonet.runtimes.choose import (
+    RUNTIMES,
+    choose_engine,
+    open_runtime,
+    remember_fastest,
+)
 from mobilestereonet.runtimes.converted import _checksum, _forget_old
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
 from mobilestereonet.runtimes.openvino import OpenVINORuntime
@@ -165,9 +170,30 @@ def test_a_missing_engine_says_how_to_install_it(monkeypatch):
         open_runtime("onnxruntime", small())
 
 
-def test_auto_is_torch():
-    engine = open_runtime("auto", small(), device="cpu", threads=1)
-    assert (engine.name, engine.threads) == ("torch", 1)
+@pytest.fixture
+def empty_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr("mobilestereonet.runtimes.choose.user_cache", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("installed", [False, True])
+def test_auto_is_what_was_fastest(installed, empty_cache, monkeypatch):
+    assert choose_engine("auto", "fp32", "cpu") == ("torch", "fp32", "cpu")
+    remember_fastest({"fp32": "onnxruntime", "bf16": "openvino"})
+    monkeypatch.setattr("mobilestereonet.runtimes.choose.has_bfloat16", lambda: True)
+    for engine in (ONNXRuntime, OpenVINORuntime):
+        monkeypatch.setattr(engine, "installed", classmethod(lambda _: installed))
+    fp32, bf16 = ("onnxruntime", "openvino") if installed else ("torch", "torch")
+    assert choose_engine("auto", "fp32", "cpu") == (fp32, "fp32", "cpu")
+    assert choose_engine("auto", "auto", "cpu") == (bf16, "bf16", "cpu")
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
+    assert choose_engine("auto", "fp32", "cuda")[0] == "torch"
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"fp32": "tpu"}', '{"fp32": "torch"}'])
+def test_auto_is_torch_where_nothing_useful_is_remembered(content, empty_cache):
+    (empty_cache / "fastest.json").write_text(content)
+    assert choose_engine("auto", "fp32", "cpu") == ("torch", "fp32", "cpu")
 
 
 @pytest.mark.parametrize("has", [False, True])

@@ -20,7 +20,10 @@ def bench(
     device: Device = "auto",
     repeats: Annotated[int, typer.Option(min=1, help="Timed runs of each engine.")] = 5,
 ) -> None:
-    """Time every installed engine on this machine, against PyTorch unaccelerated in fp32."""
+    """Time every installed engine on this machine, against PyTorch unaccelerated in fp32.
+
+    ``--runtime auto`` takes the fastest one of each precision from then on.
+    """
     from rich.console import Console
     from rich.table import Table
 
@@ -28,8 +31,8 @@ def bench(
     from mobilestereonet.export.metadata import check_size
     from mobilestereonet.inference.matcher import pretrained_net
     from mobilestereonet.nets.normalise import normalise
-    from mobilestereonet.runtimes.choose import check_device, choose_engine
-    from mobilestereonet.runtimes.compare import compare_engines, installed_engines
+    from mobilestereonet.runtimes.choose import check_device, choose_engine, remember_fastest
+    from mobilestereonet.runtimes.compare import compare_engines, fastest, installed_engines
 
     name, net = pretrained_net(model, weights)
     device = check_device("auto", device)
@@ -51,5 +54,7 @@ def bench(
             f"{row.difference:.5f}",
         )
     Console().print(table)
+    if device == "cpu":
+        remember_fastest(fastest(times))
     engine, precision, _ = choose_engine("auto", "auto", device)
-    print(f"--runtime auto takes {engine} in {precision}")
+    print(f"--runtime auto takes {engine} in {precision} from now on")

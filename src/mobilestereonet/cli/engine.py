@@ -19,7 +19,10 @@ Weights: TypeAlias = Annotated[
 ]
 Runtime: TypeAlias = Annotated[
     str,
-    typer.Option(help="Engine: auto (which is torch), torch, onnxruntime, openvino."),
+    typer.Option(
+        help="Engine: torch, onnxruntime, openvino, or auto (the fastest by the last msnet bench, "
+        "else torch)."
+    ),
 ]
 Precision: TypeAlias = Annotated[
     str, typer.Option(help="auto (bf16 where the processor has it), fp32, bf16, or fp16 on a GPU.")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import torch
 
+from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoNet
 from mobilestereonet.runtimes.base import ConfidentRuntime
-from mobilestereonet.runtimes.converted import ConvertedRuntime
+from mobilestereonet.runtimes.converted import ConvertedRuntime, user_cache
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
 from mobilestereonet.runtimes.openvino import OpenVINORuntime
 from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
@@ -38,8 +42,8 @@ def open_runtime(
     """Make a network ready in an engine.
 
     Args:
-        name: One of `RUNTIMES`. "auto" is PyTorch, accelerated, which needs no conversion
-            and the least memory. OpenVINO may be faster (see `msnet bench`).
+        name: One of `RUNTIMES`. "auto" is the fastest engine by the last `msnet bench` on this
+            machine; before one, and on a GPU, it is PyTorch, which needs no conversion.
         net: The network, with any weights.
         precision: "fp32", "bf16" (not in ONNX Runtime), "fp16" (PyTorch on a GPU), or "auto":
             bf16 where the engine has it, and the processor or GPU instructions for it, else fp32.
@@ -68,11 +72,39 @@ def choose_engine(name: str, precision: str, device: str) -> tuple[str, str, str
         raise InputError(f"unknown runtime {name!r}: there are {', '.join(RUNTIMES)}")
     device = check_device(name, device)
     if name == AUTO:
-        name = TorchRuntime.name
+        name = _fastest(device, precision)
     if precision == AUTO:
         able = name == TorchRuntime.name or "bf16" in CONVERTED[name].precisions
         precision = "bf16" if able and _has_bfloat16(device) else "fp32"
     return name, precision, device
+
+
+def remember_fastest(engines: Mapping[str, str]) -> None:
+    """Let "auto" take these engines on this machine's CPU from now on.
+
+    They are kept in the user's cache folder; where that cannot be written to, nothing changes.
+
+    Args:
+        engines: Precisions and, for each, the name of the fastest engine.
+    """
+    text = json.dumps(dict(engines)) + "\n"
+    with suppress(OSError):
+        write_atomically(user_cache() / _FASTEST, lambda file: file.write_text(text, "utf-8"))
+
+
+_FASTEST = "fastest.json"
+
+
+def _fastest(device: str, precision: str) -> str:
+    if device == "cpu":
+        if precision == AUTO:
+            precision = "bf16" if has_bfloat16() else "fp32"
+        # No such file, or not what was written there.
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            name = json.loads((user_cache() / _FASTEST).read_text("utf-8"))[precision]
+            if CONVERTED[name].installed():
+                return str(name)
+    return TorchRuntime.name
 
 
 def check_device(name: str, device: str) -> str:

@@ -16,6 +16,8 @@ from mobilestereonet.runtimes.choose import CONVERTED, open_runtime
 from mobilestereonet.runtimes.scores import use_threads
 from mobilestereonet.runtimes.torch import has_bfloat16
 
+_EAGER = "eager"
+
 
 @dataclass(frozen=True)
 class EngineTime:
@@ -81,9 +83,15 @@ def compare_engines(
     return [
         EngineTime(*name, median, medians[0] / median, float((found - disparities[0]).abs().mean()))
         for name, median, found in zip(
-            [("eager", "fp32"), *engines], medians, disparities, strict=True
+            [(_EAGER, "fp32"), *engines], medians, disparities, strict=True
         )
     ]
+
+
+def fastest(times: Sequence[EngineTime]) -> dict[str, str]:
+    """The fastest engine of each precision, without the unaccelerated one."""
+    slowest_first = sorted(times, key=lambda row: -row.seconds)
+    return {row.precision: row.engine for row in slowest_first if row.engine != _EAGER}
 
 
 def times_in_turns(*functions: Callable[[], object], repeats: int) -> list[float]:

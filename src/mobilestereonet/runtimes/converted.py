@@ -81,8 +81,7 @@ class ConvertedRuntime(ScoresRuntime):
             )
         super().__init__(net, precision, threads)
         self._net = copy.deepcopy(net).cpu().float().eval()
-        default = platformdirs.user_cache_path("mobilestereonet", appauthor=False)
-        self._run = self._open(default if cache is None else Path(cache))
+        self._run = self._open(user_cache() if cache is None else Path(cache))
 
     @classmethod
     def installed(cls) -> bool:
@@ -141,6 +140,11 @@ class ConvertedRuntime(ScoresRuntime):
     @abstractmethod
     def _load(self, model: bytes) -> Scores:
         """Make the engine ready for what `_convert` gave."""
+
+
+def user_cache() -> Path:
+    """This package's folder in the user's cache folder of the platform."""
+    return platformdirs.user_cache_path("mobilestereonet", appauthor=False)
 
 
 _KEPT = 8
