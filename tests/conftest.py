@@ -7,10 +7,12 @@ import pytest
 from mobilestereonet.cli.main import main
 
 
-@pytest.fixture(autouse=True)
-def user_cache(monkeypatch, tmp_path_factory):
-    """Nothing is kept in the user's own cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp()))
+@pytest.fixture(autouse=True, scope="session")
+def user_cache(tmp_path_factory):
+    """Nothing is kept in the user's own cache, nor read from it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture

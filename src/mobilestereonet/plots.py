@@ -127,7 +127,7 @@ def thicken(picture: Picture, known: Map) -> Picture:
     known = _array(known).astype(bool)
     # Each pixel gets the label of the nearest known one; each known pixel has a label of its own.
     distance, labels = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL
+        (~known).astype(np.uint8), cv2.DIST_C, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
     )
     colours = np.zeros((int(labels.max()) + 1, 3), np.uint8)
     colours[labels[known]] = picture[known]

@@ -216,8 +216,8 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
         assert result.facts["model"] == "msnet2d"
     with pytest.raises(InputError, match="holds a msnet2d network, not msnet3d"):
         StereoMatcher.from_pretrained("msnet3d", weights=path)
-    with pytest.raises(InputError, match="no weights of 'msnet3d'"):
-        StereoMatcher.from_pretrained("msnet3d")
+    with pytest.raises(InputError, match="no weights of 'baseline3d'"):
+        StereoMatcher.from_pretrained("baseline3d")
     with pytest.raises(InputError, match="unknown model 'raft'"):
         StereoMatcher.from_pretrained("raft")
     with pytest.raises(InputError, match="unknown runtime 'abacus'"):

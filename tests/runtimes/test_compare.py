@@ -1,5 +1,7 @@
 """`msnet bench` and what it is made of."""
 
+import math
+
 import pytest
 import torch
 
@@ -32,8 +34,9 @@ def test_engines_are_timed_against_the_plain_network():
 
 
 def test_the_fastest_of_each_precision():
-    rows = [("eager", "fp32", 1), ("torch", "fp32", 3), ("openvino", "fp32", 2), ("a", "bf16", 4)]
-    times = [compare.EngineTime(*row, ratio=1.0, difference=0.0) for row in rows]
+    rows = [("eager", "fp32", 1, 0), ("torch", "fp32", 3, 0), ("openvino", "fp32", 2, 0.1)]
+    rows += [("wrong", "fp32", 1, 7.0), ("broken", "fp32", 1, math.nan), ("a", "bf16", 4, 0)]
+    times = [compare.EngineTime(*row[:3], ratio=1.0, difference=row[3]) for row in rows]
     assert compare.fastest(times) == {"fp32": "openvino", "bf16": "a"}
 
 
@@ -55,7 +58,21 @@ def test_command(msnet, tmp_path, monkeypatch):
     lines = out.splitlines()
     assert any("eager" in line and "1.00" in line for line in lines)
     assert any("torch" in line and "fp32" in line for line in lines)
-    assert lines[-1].startswith("--runtime auto takes torch in ")
+    assert lines[-1] == "--runtime auto on cpu: torch in fp32"
     code, _, err = msnet(*arguments, "--size", 30, 64)
     assert code == 2
     assert "height must be a multiple of 16, got 30" in err
+
+
+def test_auto_takes_what_the_command_found_fastest(msnet, tmp_path, monkeypatch):
+    weights = tmp_path / "small.safetensors"
+    save_weights(small(), weights)
+    rows = [compare.EngineTime(name, "fp32", 1.0, 1.0, 0.0) for name in ("eager", "openvino")]
+    monkeypatch.setattr(compare, "compare_engines", lambda *_, **__: rows)
+    monkeypatch.setattr(compare, "installed_engines", lambda device: [])
+    monkeypatch.setattr(OpenVINORuntime, "installed", classmethod(lambda _: True))
+    monkeypatch.setattr("mobilestereonet.runtimes.choose.user_cache", lambda: tmp_path)
+    code, out, _ = msnet("bench", "--weights", weights, "--device", "cpu", "--size", 32, 64)
+    assert code == 0
+    assert out.splitlines()[-1] == "--runtime auto on cpu: openvino in fp32"
+    assert "openvino" in (tmp_path / "fastest.json").read_text()

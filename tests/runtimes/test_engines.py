@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from mobilestereonet import InputError, create_model
+from mobilestereonet.nets import model_config
 from mobilestereonet.runtimes.base import ConfidentRuntime
 from mobilestereonet.runtimes.choose import (
     RUNTIMES,
@@ -177,23 +178,29 @@ def empty_cache(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("installed", [False, True])
-def test_auto_is_what_was_fastest(installed, empty_cache, monkeypatch):
-    assert choose_engine("auto", "fp32", "cpu") == ("torch", "fp32", "cpu")
-    remember_fastest({"fp32": "onnxruntime", "bf16": "openvino"})
+def test_auto_is_what_was_fastest_with_this_network(installed, empty_cache, monkeypatch):
+    config, other = model_config("msnet2d"), model_config("msnet3d")
+    assert choose_engine("auto", config, "fp32", "cpu") == ("torch", "fp32", "cpu")
+    remember_fastest(other, {"fp32": "torch"})
+    remember_fastest(config, {"fp32": "onnxruntime", "bf16": "openvino"})
     monkeypatch.setattr("mobilestereonet.runtimes.choose.has_bfloat16", lambda: True)
     for engine in (ONNXRuntime, OpenVINORuntime):
         monkeypatch.setattr(engine, "installed", classmethod(lambda _: installed))
     fp32, bf16 = ("onnxruntime", "openvino") if installed else ("torch", "torch")
-    assert choose_engine("auto", "fp32", "cpu") == (fp32, "fp32", "cpu")
-    assert choose_engine("auto", "auto", "cpu") == (bf16, "bf16", "cpu")
+    assert choose_engine("auto", config, "fp32", "cpu") == (fp32, "fp32", "cpu")
+    assert choose_engine("auto", config, "auto", "cpu") == (bf16, "bf16", "cpu")
+    for precision in ("fp32", "bf16"):
+        assert choose_engine("auto", other, precision, "cpu")[0] == "torch"
     monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
-    assert choose_engine("auto", "fp32", "cuda")[0] == "torch"
+    monkeypatch.setattr("mobilestereonet.runtimes.choose._has_bfloat16", lambda device: True)
+    assert choose_engine("auto", config, "fp32", "cuda")[0] == "torch"
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"fp32": "tpu"}', '{"fp32": "torch"}'])
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"%s": 1}', '{"%s": {"fp32": "tpu"}}'])
 def test_auto_is_torch_where_nothing_useful_is_remembered(content, empty_cache):
-    (empty_cache / "fastest.json").write_text(content)
-    assert choose_engine("auto", "fp32", "cpu") == ("torch", "fp32", "cpu")
+    config = model_config("msnet2d")
+    (empty_cache / "fastest.json").write_text(content.replace("%s", str(config)))
+    assert choose_engine("auto", config, "fp32", "cpu") == ("torch", "fp32", "cpu")
 
 
 @pytest.mark.parametrize("has", [False, True])

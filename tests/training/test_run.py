@@ -61,8 +61,9 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
     assert not torch.equal(weights[name], current[f"net.{name}"].half())
 
     assert not any("recipe has changed" in line for line in said)
-    _train(folder, replace(RECIPE, lr=2 * RECIPE.lr), resume=True)
-    change = f"recipe has changed: lr {RECIPE.lr} -> {2 * RECIPE.lr}"
+    noisy = replace(RECIPE, lr=2 * RECIPE.lr, augment=replace(RECIPE.augment, noise=0.5))
+    _train(folder, noisy, resume=True)
+    change = f"augment.noise {RECIPE.augment.noise} -> 0.5, lr {RECIPE.lr} -> {2 * RECIPE.lr}"
     assert any(line.endswith(change) for line in said)
 
 

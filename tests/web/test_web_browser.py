@@ -68,7 +68,9 @@ def address(folder):
     )
     try:
         said = (re.match(r"http://127\.0\.0\.1:\d+/", line) for line in server.stdout)
-        yield next(filter(None, said))[0]
+        found = next(filter(None, said), None)
+        assert found, "the server ended without an address"
+        yield found[0]
         server.send_signal(signal.SIGTERM)
         assert server.wait(PATIENCE / 1000) == 0
         assert list((folder / "server").glob("msnet-web-*")) == []
@@ -111,6 +113,7 @@ def visit(chromium, address):
     yield open_page
     for page in pages:
         page.close()
+    for page in pages:
         assert not page.refused
         assert not page.errors
 
@@ -235,6 +238,7 @@ def turn_the_cloud(page):
 
     def at_rest():
         seen.append(picture(canvas.screenshot())[..., :3].astype(float))
+        del seen[:-3]
         changes = [np.abs(seen[-1] - former).mean() for former in seen[-3:-1]]
         return len(changes) == 2 and max(changes) < 0.1 and seen[-1].std() > 5
 

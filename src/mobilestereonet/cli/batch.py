@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
 
 
 def batch(
@@ -48,6 +48,7 @@ def batch(
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
     calib: Calib = None,
     calib_left: CalibLeft = None,
     unit: Unit = None,
@@ -82,7 +83,8 @@ def batch(
     cpus = threads or 1
     if ray is not None and model != "sgbm":
         threads = cpus  # a worker shares its machine
-    engine = engine_options(model, runtime, precision, threads, device)
+        runtime = "torch" if runtime == "auto" else runtime  # one engine for all of them
+    engine = engine_options(model, runtime, precision, threads, device, refine)
     make_matcher = partial(
         StereoMatcher.from_pretrained, model, weights=weights and weights.absolute(), **engine
     )

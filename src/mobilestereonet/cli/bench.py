@@ -22,7 +22,8 @@ def bench(
 ) -> None:
     """Time every installed engine on this machine, against PyTorch unaccelerated in fp32.
 
-    ``--runtime auto`` takes the fastest one of each precision from then on.
+    On this CPU ``--runtime auto`` takes the fastest one of each precision from then on, for this
+    network.
     """
     from rich.console import Console
     from rich.table import Table
@@ -54,7 +55,12 @@ def bench(
             f"{row.difference:.5f}",
         )
     Console().print(table)
+    taken = "torch"
     if device == "cpu":
-        remember_fastest(fastest(times))
-    engine, precision, _ = choose_engine("auto", "auto", device)
-    print(f"--runtime auto takes {engine} in {precision} from now on")
+        remember_fastest(net.config, fastest(times))
+        precisions = dict.fromkeys(row.precision for row in times)
+        taken = ", ".join(
+            f"{choose_engine('auto', net.config, precision, device)[0]} in {precision}"
+            for precision in precisions
+        )
+    print(f"--runtime auto on {device}: {taken}")

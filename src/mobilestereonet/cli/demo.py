@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
 
 
 def demo(
@@ -20,6 +20,7 @@ def demo(
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
 ) -> None:
     """Match the real Motorcycle pair that scikit-image brings along, and score the result."""
     import torch
@@ -35,7 +36,7 @@ def demo(
     matcher = StereoMatcher.from_pretrained(
         model,
         weights=weights,
-        **engine_options(model, runtime, precision, threads, device),
+        **engine_options(model, runtime, precision, threads, device, refine),
     )
     make_folder(output)
     result = matcher(sample.left, sample.right)

@@ -20,8 +20,8 @@ Weights: TypeAlias = Annotated[
 Runtime: TypeAlias = Annotated[
     str,
     typer.Option(
-        help="Engine: torch, onnxruntime, openvino, or auto (the fastest by the last msnet bench, "
-        "else torch)."
+        help="Engine: torch, onnxruntime, openvino, or auto (the fastest by the last msnet bench "
+        "of this network, else torch)."
     ),
 ]
 Precision: TypeAlias = Annotated[
@@ -35,8 +35,24 @@ Device: TypeAlias = Annotated[
 ]
 
 
+Refine: TypeAlias = Annotated[
+    bool | None,
+    typer.Option(
+        "--refine/--no-refine",
+        help="Mend occlusions and edges by the picture. Default: with our weights, not with the "
+        "authors'.",
+        show_default=False,
+    ),
+]
+
+
 def engine_options(
-    model: str | None, runtime: str, precision: str, threads: int | None, device: str
+    model: str | None,
+    runtime: str,
+    precision: str,
+    threads: int | None,
+    device: str,
+    refine: bool | None = None,
 ) -> dict[str, Any]:
     """What `StereoMatcher.from_pretrained` takes of these options for a model.
 
@@ -45,10 +61,16 @@ def engine_options(
     """
     from mobilestereonet.errors import InputError
 
-    options = {"runtime": runtime, "precision": precision, "threads": threads, "device": device}
+    options = {
+        "runtime": runtime,
+        "precision": precision,
+        "threads": threads,
+        "device": device,
+        "refine": refine,
+    }
     if model != "sgbm":
         return options
-    defaults = ("auto", "fp32", None)  # of one command or the other
+    defaults = ("auto", "torch", "fp32", None)  # of one command or the other
     chosen = [f"--{name}" for name, value in options.items() if value not in defaults]
     if chosen:
         raise InputError(f"sgbm runs in OpenCV alone: leave {', '.join(chosen)} out")

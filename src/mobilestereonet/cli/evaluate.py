@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Precision, Refine, Runtime, Threads, Weights
 
 
 def evaluate(
@@ -20,10 +20,11 @@ def evaluate(
         ),
     ] = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "fp32",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
     split: Annotated[
         str | None, typer.Option(help="Split of the data set. Default: its first.")
     ] = None,
@@ -83,7 +84,7 @@ def evaluate(
     protocol = replace(protocol, max_disparity=max_disparity)
     # The padding is one of normalised views, which sgbm does not take.
     protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
-    engine = (runtime, precision, threads, device)
+    engine = (runtime, precision, threads, device, refine)
     matchers = [
         StereoMatcher.from_pretrained(
             name,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
 
 
 def predict(
@@ -21,6 +21,7 @@ def predict(
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
     ] = False,
@@ -82,7 +83,7 @@ def predict(
         tile=tile or "auto",
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
-        **engine_options(model, runtime, precision, threads, device),
+        **engine_options(model, runtime, precision, threads, device, refine),
     )
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
 
 
 def submit(
@@ -18,10 +18,11 @@ def submit(
     output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],
     model: Model = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "fp32",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
     method: Annotated[
         str | None,
         typer.Option(help="Name of the method in Middlebury's files. Default: the model's."),
@@ -45,7 +46,7 @@ def submit(
     matcher = StereoMatcher.from_pretrained(
         model,
         weights=weights,
-        **engine_options(model, runtime, precision, threads, device),
+        **engine_options(model, runtime, precision, threads, device, refine),
     )
     if output.is_dir():
         raise InputError(f"{output} is a folder: name the ZIP file, too")

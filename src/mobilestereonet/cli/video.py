@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
 
 
 def video(
@@ -50,6 +50,7 @@ def video(
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
+    refine: Refine = None,
     calib: Calib = None,
     calib_left: CalibLeft = None,
     unit: Unit = None,
@@ -84,7 +85,7 @@ def video(
                     f"{output}: the video would replace its source; choose another name"
                 )
     stream = open_stream(left, right, fps)
-    engine = engine_options(model, runtime, precision, threads, device)
+    engine = engine_options(model, runtime, precision, threads, device, refine)
     matcher = StereoMatcher.from_pretrained(model, weights=weights, **engine)
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()

@@ -16,6 +16,7 @@ from torch import Tensor
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
+from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
@@ -46,6 +47,7 @@ class StereoMatcher:
         tile: tuple[int, int] | Literal["auto"] | None = "auto",
         confidence: bool = False,
         left_right: bool = False,
+        refine: bool = False,
     ) -> None:
         """Wrap an engine.
 
@@ -61,17 +63,19 @@ class StereoMatcher:
             confidence: Results have a confidence, at no cost.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.
+            refine: Refine the disparity by the picture, see `inference.refine`, for some percent
+                more time.
 
         Raises:
             InputError: If both ``padding`` and ``tile`` are given, or the engine tells no
-                confidence.
+                confidence, which ``confidence`` and ``refine`` need.
         """
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         if isinstance(engine, StereoNet):
             model = model or _name(engine.config)
             engine = TorchRuntime(engine)
-        if confidence and not isinstance(engine, ConfidentRuntime):
+        if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
             raise InputError(
                 f"{engine.name} tells no confidence; the left-right check works with it"
             )
@@ -81,6 +85,7 @@ class StereoMatcher:
         self.tile = tile
         self.confidence = confidence
         self.left_right = left_right
+        self.refine = refine
 
     @classmethod
     def from_pretrained(
@@ -93,6 +98,7 @@ class StereoMatcher:
         tile: tuple[int, int] | Literal["auto"] | None = "auto",
         confidence: bool = False,
         left_right: bool = False,
+        refine: bool | None = None,
         **options: Any,
     ) -> StereoMatcher:
         """Matcher with trained weights.
@@ -106,6 +112,8 @@ class StereoMatcher:
             tile: Likewise.
             confidence: Likewise.
             left_right: Likewise.
+            refine: Likewise; by default where the network's estimator is "mode", as it is with our
+                weights, and not with the authors'.
             **options: For the engine: ``precision``, ``threads``, ``device`` and ``cache`` of
                 `open_runtime`, or ``max_disparity`` of `StereoSGBM`.
 
@@ -124,8 +132,9 @@ class StereoMatcher:
         if model == StereoSGBM.name:
             if weights is not None:
                 raise InputError(f"{model} has no weights to read from {weights}: leave them out")
-            return cls(StereoSGBM(**options), **wanted)
+            return cls(StereoSGBM(**options), **wanted, refine=bool(refine))
         name, net = pretrained_net(model, weights)
+        wanted["refine"] = net.config.estimator == "mode" if refine is None else refine
         return cls(open_runtime(runtime, net, **options), model=name, **wanted)
 
     @overload
@@ -194,6 +203,7 @@ class StereoMatcher:
             "model": self.model,
             "runtime": self.runtime.name,
             "precision": self.runtime.precision,
+            "refined": self.refine,
             "width": left.shape[-1],
             "height": left.shape[-2],
             "seconds": (time.perf_counter() - started) / len(loaded),
@@ -242,18 +252,24 @@ class StereoMatcher:
                 "left and right must both be (B, 3, H, W), "
                 f"got {tuple(left.shape)} and {tuple(right.shape)}"
             )
-        match = partial(self._match_whole, confidence=confidence)
+        match = partial(self._match_whole, confidence=confidence or self.refine)
         tile = self._tile_for(*left.shape[-2:])
         if tile is None:
-            return match(left, right)
-        return match_in_tiles(
-            match,
-            left,
-            right,
-            tile=tile,
-            max_disparity=self.runtime.max_disparity,
-            multiple=self.runtime.multiple,
-        )
+            maps = match(left, right)
+        else:
+            maps = match_in_tiles(
+                match,
+                left,
+                right,
+                tile=tile,
+                max_disparity=self.runtime.max_disparity,
+                multiple=self.runtime.multiple,
+            )
+        if not self.refine:
+            return maps
+        disparity, sure = maps
+        disparity = refine_disparity(disparity, sure, left)
+        return torch.stack((disparity, sure)) if confidence else disparity[None]
 
     def _tile_for(self, height: int, width: int) -> tuple[int, int] | None:
         if self.tile != "auto":

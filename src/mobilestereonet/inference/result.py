@@ -39,8 +39,9 @@ class StereoResult:
             left pixel (x + disparity, y); None where it was not asked for.
         occluded: (H, W) bool, True where the left-right check fails: the right camera does not see
             the pixel, or the match is wrong; None without ``right_disparity``.
-        facts: What was run and how long it took: ``model``, ``runtime``, ``width``, ``height``,
-            ``seconds`` (from the checked pair to the disparity; a pair's share of its batch).
+        facts: What was run and how long it took: ``model``, ``runtime``, ``precision``,
+            ``refined``, ``width``, ``height``, ``seconds`` (from the checked pair to the disparity;
+            a pair's share of its batch).
     """
 
     left: Picture

@@ -7,12 +7,13 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import NetConfig, StereoNet
 from mobilestereonet.runtimes.base import ConfidentRuntime
 from mobilestereonet.runtimes.converted import ConvertedRuntime, user_cache
 from mobilestereonet.runtimes.onnxruntime import ONNXRuntime
@@ -42,8 +43,9 @@ def open_runtime(
     """Make a network ready in an engine.
 
     Args:
-        name: One of `RUNTIMES`. "auto" is the fastest engine by the last `msnet bench` on this
-            machine; before one, and on a GPU, it is PyTorch, which needs no conversion.
+        name: One of `RUNTIMES`. "auto" is the fastest engine in the precision, by the last `msnet
+            bench` of this network on this machine; before one, and on a GPU, it is PyTorch, which
+            needs no conversion.
         net: The network, with any weights.
         precision: "fp32", "bf16" (not in ONNX Runtime), "fp16" (PyTorch on a GPU), or "auto":
             bf16 where the engine has it, and the processor or GPU instructions for it, else fp32.
@@ -56,13 +58,15 @@ def open_runtime(
         InputError: If a name or value is unknown, the engine is not installed, or it does not
             have the precision or the device.
     """
-    name, precision, device = choose_engine(name, precision, device)
+    name, precision, device = choose_engine(name, net.config, precision, device)
     if name == TorchRuntime.name:
         return TorchRuntime(net, device=device, precision=precision, threads=threads)
     return CONVERTED[name](net, precision=precision, threads=threads, cache=cache)
 
 
-def choose_engine(name: str, precision: str, device: str) -> tuple[str, str, str]:
+def choose_engine(
+    name: str, config: NetConfig, precision: str, device: str
+) -> tuple[str, str, str]:
     """What "auto" means here for the engine's name, the precision and the device.
 
     Raises:
@@ -71,40 +75,49 @@ def choose_engine(name: str, precision: str, device: str) -> tuple[str, str, str
     if name not in RUNTIMES:
         raise InputError(f"unknown runtime {name!r}: there are {', '.join(RUNTIMES)}")
     device = check_device(name, device)
+    best = "bf16" if _has_bfloat16(device) else "fp32"
     if name == AUTO:
-        name = _fastest(device, precision)
+        name = TorchRuntime.name
+        if device == "cpu":
+            name = _fastest(config, best if precision == AUTO else precision)
     if precision == AUTO:
-        able = name == TorchRuntime.name or "bf16" in CONVERTED[name].precisions
-        precision = "bf16" if able and _has_bfloat16(device) else "fp32"
+        able = name == TorchRuntime.name or best in CONVERTED[name].precisions
+        precision = best if able else "fp32"
     return name, precision, device
-
-
-def remember_fastest(engines: Mapping[str, str]) -> None:
-    """Let "auto" take these engines on this machine's CPU from now on.
-
-    They are kept in the user's cache folder; where that cannot be written to, nothing changes.
-
-    Args:
-        engines: Precisions and, for each, the name of the fastest engine.
-    """
-    text = json.dumps(dict(engines)) + "\n"
-    with suppress(OSError):
-        write_atomically(user_cache() / _FASTEST, lambda file: file.write_text(text, "utf-8"))
 
 
 _FASTEST = "fastest.json"
 
 
-def _fastest(device: str, precision: str) -> str:
-    if device == "cpu":
-        if precision == AUTO:
-            precision = "bf16" if has_bfloat16() else "fp32"
-        # No such file, or not what was written there.
-        with suppress(OSError, ValueError, TypeError, KeyError):
-            name = json.loads((user_cache() / _FASTEST).read_text("utf-8"))[precision]
-            if CONVERTED[name].installed():
-                return str(name)
+def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> None:
+    """Let "auto" take these engines for a network on this machine's CPU from now on.
+
+    They are kept in the user's cache folder; where that cannot be written to, nothing changes.
+
+    Args:
+        config: The network's.
+        engines: Precisions and, for each, the name of the fastest engine.
+    """
+    text = json.dumps({**_remembered(), str(config): dict(engines)}, indent=2) + "\n"
+    with suppress(OSError):
+        write_atomically(user_cache() / _FASTEST, lambda file: file.write_text(text, "utf-8"))
+
+
+def _fastest(config: NetConfig, precision: str) -> str:
+    # What another version wrote there may be anything.
+    with suppress(TypeError, KeyError):
+        name = _remembered()[str(config)][precision]
+        if CONVERTED[name].installed():
+            return str(name)
     return TorchRuntime.name
+
+
+def _remembered() -> dict[str, Any]:
+    with suppress(OSError, ValueError):
+        found = json.loads((user_cache() / _FASTEST).read_text("utf-8"))
+        if isinstance(found, dict):
+            return found
+    return {}
 
 
 def check_device(name: str, device: str) -> str:

@@ -17,6 +17,8 @@ from mobilestereonet.runtimes.scores import use_threads
 from mobilestereonet.runtimes.torch import has_bfloat16
 
 _EAGER = "eager"
+_WRONG = 0.5
+"""Mean difference in px that no precision explains."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,9 @@ def compare_engines(
 
 
 def fastest(times: Sequence[EngineTime]) -> dict[str, str]:
-    """The fastest engine of each precision, without the unaccelerated one."""
-    slowest_first = sorted(times, key=lambda row: -row.seconds)
-    return {row.precision: row.engine for row in slowest_first if row.engine != _EAGER}
+    """The fastest engine of each precision, without the unaccelerated one and wrong ones."""
+    right = [row for row in times if row.engine != _EAGER and row.difference < _WRONG]
+    return {row.precision: row.engine for row in sorted(right, key=lambda row: -row.seconds)}
 
 
 def times_in_turns(*functions: Callable[[], object], repeats: int) -> list[float]:

@@ -81,7 +81,7 @@ class ScoresRuntime(ABC):
 
     @abstractmethod
     def _scores(self, left: Tensor, right: Tensor) -> Iterable[Tensor]:
-        """Scores (b, D, H / 4, W / 4) of some pairs after the other."""
+        """Scores (b, D, H / 4, W / 4) of the pairs in their order, b at a time."""
 
 
 @contextmanager

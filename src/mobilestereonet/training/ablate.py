@@ -126,7 +126,11 @@ def _write_json(path: Path, record: dict[str, Any]) -> None:
 def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
     """Score the exported weights."""
     matcher = StereoMatcher.from_pretrained(
-        weights=run / "weights.safetensors", runtime="torch", device=device, precision="fp32"
+        refine=False,
+        weights=run / "weights.safetensors",
+        runtime="torch",
+        device=device,
+        precision="fp32",
     )
     result = evaluate(
         matcher.disparity,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +164,7 @@ def train(
         The module, with the averaged weights.
 
     Raises:
+        FileNotFoundError: If a run to resume has lost its recipe.
         InputError: If the folder holds another run, or none to resume; if the initial weights do
             not fit; if Lightning refuses the precision, the devices or the time.
     """
@@ -216,10 +217,11 @@ def train(
         )
     except (MisconfigurationException, ValueError) as error:
         raise InputError(f"Lightning refuses these settings: {error}") from None
-    if resume and (changed := _changed(read_recipe(folder / "recipe.json"), recipe)):
-        rank_zero_info(f"Not an exact continuation, the recipe has changed: {changed}")
-    text = recipe.to_json() + "\n"
-    write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
+    if trainer.is_global_zero:
+        if resume and (changed := _changed(read_recipe(folder / "recipe.json"), recipe)):
+            rank_zero_info(f"Not an exact continuation, the recipe has changed: {changed}")
+        text = recipe.to_json() + "\n"
+        write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
     if global_batch != recipe.lr_batch:
         rank_zero_info(
             f"Learning rate scaled by the global batch: {recipe.lr:g} x {global_batch} / "
@@ -243,9 +245,17 @@ def train(
 
 def _changed(before: Recipe, now: Recipe) -> str:
     """Values that differ, in words."""
-    names = [field.name for field in fields(Recipe)]
-    values = [(name, getattr(before, name), getattr(now, name)) for name in names]
-    return ", ".join(f"{name} {old} -> {new}" for name, old, new in values if old != new)
+    old, new = _values(before), _values(now)
+    return ", ".join(f"{name} {old[name]} -> {new[name]}" for name in new if old[name] != new[name])
+
+
+def _values(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Values of a recipe and its parts, by the names that ``--set`` takes."""
+    values: dict[str, Any] = {}
+    for field in fields(config):
+        name, value = prefix + field.name, getattr(config, field.name)
+        values |= _values(value, f"{name}.") if is_dataclass(value) else {name: value}
+    return values
 
 
 def _is_no_advertisement(record: logging.LogRecord) -> bool:

@@ -262,7 +262,7 @@ def _settings(offer: Offer) -> tuple[list[Any], list[Any]]:
                 offer.models, label="Network", info="sgbm: not a network", min_width=140
             )
             runtime = gr.Dropdown(
-                offer.runtimes, label="Engine", info="auto: by msnet bench", min_width=140
+                offer.runtimes, label="Engine", info="auto: the fastest known", min_width=140
             )
         with gr.Row():
             max_depth = gr.Number(

@@ -100,5 +100,5 @@ def _check_type(name: str, value: Any, hint: Any) -> None:
     if float in kinds:
         kinds += (int,)
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        wanted = "true or false" if hint is bool else hint
+        wanted = "true or false" if hint is bool else getattr(hint, "__name__", hint)
         raise InputError(f"{name} must be {wanted}, got {value!r}")

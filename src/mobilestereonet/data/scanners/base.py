@@ -220,7 +220,7 @@ def _content(root: Path) -> str:
     """What a folder holds, in a few words."""
     if not root.is_dir():
         return "there is no such folder"
-    names = sorted(path.name for path in root.iterdir())
+    names = sorted(path.name for path in root.iterdir() if path.name[0] != ".")
     more = ", ..." if len(names) > 6 else ""
     return f"it holds {', '.join(names[:6]) or 'nothing'}{more}"
 

@@ -1,0 +1,96 @@
+"""Refinement by the picture: occluded pixels from their background, edges from the colours.
+
+The networks decide at every fourth pixel, so edges come out some pixels off, and what one camera
+alone sees is guesswork. Both can be mended without learning anything: what is unsure takes the
+disparity of the farther sure neighbour, as semi-global matching fills its gaps, and near edges
+each pixel takes the disparity that its neighbours of like colour agree on (a weighted median, as
+in Ma et al., "Constant Time Weighted Median Filtering for Stereo Matching and Beyond", ICCV 2013,
+over a few sparse neighbours).
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+SURE = 0.3
+"""Confidence from which a pixel keeps its disparity, and is a neighbour for others."""
+
+STEPS = (7, 4, 2)
+"""Distances in px of the 3 x 3 neighbours, one pass after the other."""
+
+EDGE = 3.0
+"""Pixels by which the neighbours' disparities differ at an edge."""
+
+SAME = 1.0
+"""Pixels within which two disparities are of one surface: a pixel's own is the finer one then."""
+
+COLOUR = 0.1
+"""Standard deviation of the colour (RGB in 0..1) within one surface."""
+
+OWN_VOTE = 0.9
+"""What a pixel's own vote counts: along a straight edge it would end in a draw with its side."""
+
+OUTLIER = 8.0
+"""Pixels beyond which a neighbour's disparity is just another one."""
+
+
+def refine_disparity(disparity: Tensor, confidence: Tensor, views: Tensor) -> Tensor:
+    """Refine disparities where they are unsure, and at their edges.
+
+    Everywhere else they stay as they are.
+
+    Args:
+        disparity: Disparity in px, (B, H, W) float32.
+        confidence: Its confidence in 0..1, (B, H, W), see `mobilestereonet.nets.confidence`.
+        views: The views that it belongs to, (B, 3, H, W), RGB in 0..1.
+
+    Returns:
+        Disparity in px, (B, H, W).
+    """
+    disparity = _from_background(disparity, confidence >= SURE)
+    weight = confidence.clamp(min=SURE)
+    for step in STEPS:
+        disparity = _by_colour(disparity, weight, views, step)
+    return disparity
+
+
+def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
+    """Give unsure pixels the farther of the two nearest sure ones of their row."""
+    width = disparity.shape[-1]
+    column = torch.arange(width, device=disparity.device).expand_as(disparity)
+    before = torch.where(sure, column, -1).cummax(-1).values
+    after = torch.where(sure, column, width).flip(-1).cummin(-1).values.flip(-1)
+    left = disparity.gather(-1, before.clamp(min=0)).masked_fill(before < 0, torch.inf)
+    right = disparity.gather(-1, after.clamp(max=width - 1)).masked_fill(after == width, torch.inf)
+    farther = torch.minimum(left, right)
+    return torch.where(sure | farther.isinf(), disparity, farther)
+
+
+def _by_colour(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
+    """Give pixels at edges the disparity that costs least among their 3 x 3 neighbours'."""
+    height, width = disparity.shape[-2:]
+    around = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate")
+    nearest = F.max_pool2d(around, 3, stride=1, dilation=step).squeeze(1)
+    farthest = -F.max_pool2d(-around, 3, stride=1, dilation=step).squeeze(1)
+    image, row, column = torch.nonzero(nearest - farthest > EDGE, as_tuple=True)
+    offsets = [(y, x) for y in (-step, 0, step) for x in (-step, 0, step)]
+    places = [
+        (image, (row + y).clamp(0, height - 1), (column + x).clamp(0, width - 1))
+        for y, x in offsets
+    ]
+    colours = views.movedim(1, -1)
+    own = colours[image, row, column]
+    candidates = torch.stack([disparity[place] for place in places])
+    unlike = torch.stack([(colours[place] - own).square().sum(-1) for place in places])
+    votes = torch.exp(unlike / (-2 * COLOUR**2)) * torch.stack([weight[p] for p in places])
+    votes[len(offsets) // 2] *= OWN_VOTE
+    costs = torch.stack(
+        [(votes * (candidates - one).abs().clamp(max=OUTLIER)).sum(0) for one in candidates]
+    )
+    best = candidates.gather(0, costs.argmin(0, keepdim=True))[0]
+    before = disparity[image, row, column]
+    refined = disparity.clone()
+    refined[image, row, column] = torch.where((best - before).abs() > SAME, best, before)
+    return refined

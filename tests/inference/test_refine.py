@@ -1,0 +1,66 @@
+"""Refinement by the picture, on pictures whose right answer is known."""
+
+import torch
+
+from mobilestereonet.inference.refine import refine_disparity
+
+BACK, FRONT = 10.0, 40.0
+
+
+def scene(edge=60, size=(40, 120)):
+    """A dark surface in front, right of column ``edge``, of a bright one; sure everywhere."""
+    front = (torch.arange(size[1]) >= edge).expand(size)
+    truth = torch.where(front, FRONT, BACK)
+    view = torch.where(front, 0.2, 0.8).expand(3, *size)
+    return truth[None], torch.ones(1, *size), view[None]
+
+
+def test_what_is_right_stays_bit_for_bit():
+    truth, sure, view = scene()
+    slanted = truth + torch.linspace(0, 3, truth.shape[-1])
+    assert torch.equal(refine_disparity(slanted, sure, view), slanted)
+
+
+def test_unsure_pixels_take_the_background():
+    truth, sure, view = scene()
+    found, sure = truth.clone(), sure.clone()
+    found[..., 45:60], sure[..., 45:60] = 33.0, 0.1  # what the right camera does not see
+    found[..., :9], sure[..., :9] = 99.0, 0.2  # neither the left border: one neighbour
+    assert torch.equal(refine_disparity(found, sure, view), truth)
+
+
+def test_a_row_without_any_sure_pixel_is_left_alone():
+    truth, sure, view = scene()
+    assert torch.equal(refine_disparity(truth, 0.1 * sure, view), truth)
+
+
+def test_edges_follow_the_colours():
+    _, sure, view = scene(edge=60)
+    for found_at in (57, 62):
+        found, _, _ = scene(edge=found_at)
+        refined = refine_disparity(found, sure, view)
+        assert torch.equal(refined, scene(edge=60)[0])
+        # Without a picture that tells where, the edge stays.
+        assert torch.equal(refine_disparity(found, sure, torch.full_like(view, 0.5)), found)
+
+
+def test_sure_neighbours_outvote_unsure_ones():
+    _, _, view = scene()
+    found = torch.full((1, 40, 120), BACK)
+    found[..., ::4] = FRONT  # stripes, and a picture of one colour
+    view = torch.full_like(view, 0.5)
+    sure = torch.where(found == BACK, 1.0, 0.35)
+    assert (refine_disparity(found, sure, view)[..., 8:-8] == BACK).all()
+    back = refine_disparity(found, torch.where(found == BACK, 0.35, 1.0), view)[..., 8:-8]
+    assert (back == FRONT).float().mean() > 0.2
+
+
+def test_batches_are_pairs_one_by_one():
+    torch.manual_seed(0)
+    found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1)
+    sure, views = torch.rand(2, 24, 80), torch.rand(2, 3, 24, 80)
+    both = refine_disparity(found, sure, views)
+    for index in range(2):
+        one = slice(index, index + 1)
+        assert torch.equal(both[one], refine_disparity(found[one], sure[one], views[one]))
+    assert not torch.equal(both, found)
