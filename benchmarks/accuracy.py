@@ -1,4 +1,4 @@
-"""Accuracy of every embedded network and of StereoSGBM, in one table.
+"""Accuracy of every embedded network, of the default one without refinement, and of StereoSGBM.
 
     python benchmarks/accuracy.py [--root DIR] [--scenes 100] [--weights FILE ...]
 
@@ -25,12 +25,14 @@ from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.evaluation import evaluate
-from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
 from mobilestereonet.weights import embedded_models
 
 SYNTHETIC = ("sceneflow", "sintel", "vkitti2", "procedural")
 OPTIONS = {"sceneflow": {"split": "test", "render": "cleanpass"}}
 """Options of the scanners where their defaults do not fit."""
+
+EXACT = {"runtime": "torch", "precision": "fp32"}
 
 SCENE_SEED = 2_000_003
 """Seed of the procedural scenes: neither training nor validation during training uses it."""
@@ -54,12 +56,11 @@ def scenes(count: int) -> Iterable[StereoSample]:
 
 def matchers(weights: Iterable[Path]) -> dict[str, StereoMatcher]:
     """StereoSGBM, every embedded network, and networks of weights files, by their names."""
-    exact = {"runtime": "torch", "precision": "fp32"}
     found = {"sgbm": StereoMatcher.from_pretrained("sgbm")}
     for name in embedded_models():
-        found[name] = StereoMatcher.from_pretrained(name, **exact)
+        found[name] = StereoMatcher.from_pretrained(name, **EXACT)
     for path in weights:
-        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **exact)
+        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **EXACT)
     return found
 
 
@@ -77,6 +78,8 @@ def main() -> None:
 
     records = []
     found = matchers(arguments.weights)
+    plain = StereoMatcher.from_pretrained(DEFAULT_MODEL, refine=False, **EXACT)
+    found[f"{DEFAULT_MODEL} --no-refine"] = plain
     for model, matcher in found.items():
         for name, samples in sets:
             groups = [(name, samples)]

@@ -17,7 +17,7 @@ from torch import Tensor
 SURE = 0.3
 """Confidence from which a pixel keeps its disparity, and is a neighbour for others."""
 
-STEPS = (7, 4, 2)
+STEPS = (7, 4, 2, 1)
 """Distances in px of the 3 x 3 neighbours, one pass after the other."""
 
 EDGE = 3.0
