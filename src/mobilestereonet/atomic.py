@@ -26,6 +26,16 @@ def make_folder(folder: Path) -> None:
         ) from error
 
 
+def refuse_folder(path: Path, kind: str = "file") -> None:
+    """Refuse a folder where a file is to be written.
+
+    Raises:
+        InputError: If it is one; the message asks for the name of a file of this kind.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name the {kind}, too")
+
+
 def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None:
     """Write a file so that no reader ever sees a part of it, whatever happens on the way.
 
@@ -39,8 +49,7 @@ def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None
         OSError: If the file cannot be written. ``path`` is then as it was.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: name the file, too")
+    refuse_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{uuid4().hex[:12]}.{path.name}")
     try:

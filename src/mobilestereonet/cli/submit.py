@@ -37,9 +37,8 @@ def submit(
     from rich.console import Console
     from rich.progress import track
 
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import make_folder, refuse_folder
     from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
     from mobilestereonet.inference import StereoMatcher
 
@@ -48,8 +47,7 @@ def submit(
         weights=weights,
         **engine_options(model, runtime, precision, threads, device, refine),
     )
-    if output.is_dir():
-        raise InputError(f"{output} is a folder: name the ZIP file, too")
+    refuse_folder(output, "ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
     make_folder(output.parent)
