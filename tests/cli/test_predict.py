@@ -161,6 +161,18 @@ def test_demo_scores_the_motorcycle(msnet, tmp_path):
     assert picture.shape[1] > 2 * 741
 
 
+def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):
+    msnet("demo", "-o", tmp_path, "--model", "sgbm")
+    pair = tmp_path / "left.png", tmp_path / "right.png", "--calib", tmp_path / "calib.txt"
+    depth = tmp_path / "depth.npy"
+    code, _, _ = msnet("predict", *pair, "-o", tmp_path, "--model", "sgbm", "--depth", depth)
+    assert code == 0
+    disparity = np.load(tmp_path / "motorcycle_disparity.npy")
+    known = np.isfinite(disparity)
+    expected = 994.978 * 0.193001 / (disparity[known] + 31.086)
+    np.testing.assert_allclose(np.load(depth)[known], expected, rtol=1e-4)
+
+
 def test_models_are_listed(msnet, weights, monkeypatch):
     monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
     code, out, _ = msnet("models")

@@ -18,6 +18,8 @@ def folder(tmp_path):
     (tmp_path / "calib.txt").write_text(
         f"cam0={matrix.format(120)}\ncam1={matrix.format(125)}\ndoffs=5\nbaseline=100\n"
     )
+    text = (tmp_path / "calib.txt").read_text()
+    (tmp_path / "half.txt").write_text(text + "width=120\nheight=60\n")
     return tmp_path
 
 
@@ -77,6 +79,9 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
         (("--calib", "calib.txt", "--baseline", 1), "leave the options out"),
         (("--calib", "none.txt"), "none.txt: no such file"),
+        (("--calib", "calib.txt"), "a calibration is for --depth FILE or --points FILE"),
+        (("--depth", "d.npy", "--calib", "half.txt"), "of 120x60, these have 240x120"),
+        (("--depth", "d.npy", "--calib", "half.txt"), "focal 1000, baseline 0.1, doffs 10"),
         (("--calib", "left.png"), "left.png: unknown calibration format"),
         (("--depth", "d.exr"), "d.exr: depth is written as"),
         (("--points", "p.obj"), "p.obj: points are written as"),

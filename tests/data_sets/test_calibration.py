@@ -25,6 +25,7 @@ P_rect_00: 7.0e+02 0 6.0e+02 0 0 7.0e+02 1.8e+02 0 0 0 1 0
 P_rect_01: 7.0e+02 0 6.0e+02 -3.78e+02 0 7.0e+02 1.8e+02 0 0 0 1 0
 P_rect_02: 7.2e+02 0 6.1e+02 3.6e+01 0 7.2e+02 1.7e+02 2.1e-01 0 0 1 2.7e-03
 P_rect_03: 7.2e+02 0 6.1e+02 -3.6e+02 0 7.2e+02 1.7e+02 2.1e+00 0 0 1 2.7e-03
+S_rect_02: 1.242000e+03 3.750000e+02
 """
 
 
@@ -41,6 +42,7 @@ def test_middlebury(tmp_path, line_end):
     assert result.baseline == pytest.approx(0.193001)
     assert result.doffs == 32.778
     assert (result.cx, result.cy) == (294.182, 252.932)
+    assert result.size == (741, 497)
 
 
 def test_middlebury_without_doffs_takes_the_principal_points(tmp_path):
@@ -55,9 +57,11 @@ def test_kitti_colour_and_grey(tmp_path, line_end):
     assert colour.focal == 720
     assert colour.baseline == pytest.approx(0.55)  # (36 + 360) / 720
     assert (colour.doffs, colour.cx, colour.cy) == (0, 610, 170)
+    assert colour.size == (1242, 375)
     grey = calibration_of(tmp_path, text, cameras=(0, 1))
     assert grey.focal == 700
     assert grey.baseline == pytest.approx(0.54)
+    assert grey.size is None
 
 
 def test_kitti_per_frame_names(tmp_path):
@@ -123,6 +127,7 @@ def test_ros_takes_the_right_camera_and_both(tmp_path):
     left.write_text(ROS_LEFT)
     both = calibration_of(tmp_path, ROS_RIGHT, left=left)
     assert (both.cx, both.doffs) == (LEFT_CX, RIGHT_CX - LEFT_CX)
+    assert both.size == (640, 480)
     assert both.baseline == pytest.approx(BASELINE)
 
 
@@ -134,6 +139,7 @@ def test_ros_message_as_it_is_printed(tmp_path):
     )
     for text in (message, message.replace("P:", "p:"), message * 2):
         assert calibration_of(tmp_path, text).baseline == pytest.approx(0.12)
+        assert calibration_of(tmp_path, text).size == (640, 480)
 
 
 def opencv_file(path, unit=1.0, **values):

@@ -20,6 +20,7 @@ from mobilestereonet.evaluation import (
     save_evaluations,
 )
 from mobilestereonet.nets import create_model
+from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.weights import save_weights
 
 SCALE = 100.0
@@ -236,7 +237,10 @@ def test_sgbm_is_not_padded_under_the_authors_protocol(kitti, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:KITTI2015")
-def test_command_with_bad_input(kitti, tmp_path):
+def test_command_with_bad_input(kitti, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(InputError, match="is a folder: name the"):
+        patch.setattr(StereoSGBM, "__call__", lambda *_: pytest.fail("pairs were matched"))
+        command("kitti2015", kitti, ["sgbm"], json=tmp_path)
     with pytest.raises(InputError, match="unknown data set 'kitty'"):
         command("kitty", kitti, ["sgbm"])
     with pytest.raises(InputError, match="no option 'size'"):

@@ -5,6 +5,7 @@ import torch
 
 from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
 from mobilestereonet.inference import load_pair
+from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import files
 
 SMALL = {"max_disparity": 32}
@@ -222,6 +223,20 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
         StereoMatcher.from_pretrained("raft")
     with pytest.raises(InputError, match="unknown runtime 'abacus'"):
         StereoMatcher.from_pretrained(runtime="abacus")
+
+
+def test_threads_are_the_refinements_too(net, monkeypatch):
+    seen = []
+
+    def refine(disparity, *_):
+        seen.append(torch.get_num_threads())
+        return disparity
+
+    monkeypatch.setattr("mobilestereonet.inference.matcher.refine_disparity", refine)
+    before = torch.get_num_threads()
+    for threads in (before + 1, None):
+        StereoMatcher(TorchRuntime(net, threads=threads), refine=True)(*random_pair(16, 32))
+    assert seen == [before + 1, before]
 
 
 def test_semi_global_matching_is_a_model_like_any_other():

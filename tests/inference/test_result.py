@@ -6,6 +6,7 @@ import pytest
 
 from mobilestereonet import Calibration, StereoResult
 from mobilestereonet.data.disparity_files import read_disparity
+from mobilestereonet.errors import InputError
 
 
 @pytest.fixture
@@ -29,6 +30,22 @@ def test_depth_knows_the_difference_of_principal_points(result):
     np.testing.assert_allclose(depth[0], [500 / 1.501, 200, 125], rtol=1e-6)
     depth = result.depth(Calibration(focal=1000, baseline=0.5, doffs=-2))
     np.testing.assert_allclose(depth[0], [0, 0, 1000], rtol=1e-6)
+
+
+def test_depth_of_another_size_is_refused(result):
+    calibration = Calibration(focal=1000, baseline=0.5, doffs=8, size=(6, 4))
+    for use in (result.depth, result.points):
+        with pytest.raises(InputError, match=r"of 6x4, these have 3x2.*focal 500.*doffs 4"):
+            use(calibration)
+    result.depth(replace(calibration, size=(3, 2)))
+
+
+def test_printing_a_result_tells_no_pixels(result):
+    facts = {"model": "msnet2d"}
+    text = "StereoResult(3x2, disparity 0.0 to 300.0 px, {'model': 'msnet2d'})"
+    assert repr(replace(result, facts=facts)) == text
+    unknown = replace(result, valid=np.zeros((2, 3), dtype=bool))
+    assert repr(unknown) == "StereoResult(3x2, no match, {})"
 
 
 def test_depth_is_always_finite():

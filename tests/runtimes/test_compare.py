@@ -53,12 +53,17 @@ def test_command(msnet, tmp_path, monkeypatch):
     save_weights(small(), weights)
     monkeypatch.setattr(compare, "installed_engines", lambda device: [("torch", "fp32")])
     arguments = ("bench", "--weights", weights, "--device", "cpu", "--repeats", 1)
-    code, out, _ = msnet(*arguments, "--size", 32, 64)
+    monkeypatch.setattr("mobilestereonet.runtimes.choose.user_cache", lambda: tmp_path / "cache")
+    code, out, err = msnet(*arguments, "--size", 32, 64)
     assert code == 0
+    assert err == "making ready: torch fp32\n"
     lines = out.splitlines()
     assert any("eager" in line and "1.00" in line for line in lines)
     assert any("torch" in line and "fp32" in line for line in lines)
-    assert lines[-1] == "--runtime auto on cpu: torch in fp32"
+    assert lines[-2] == "--runtime auto on cpu: torch in fp32"
+    kept = tmp_path / "cache" / "fastest.json"
+    assert lines[-1] == f"kept in {kept}: delete it and auto is torch again"
+    assert kept.is_file()
     code, _, err = msnet(*arguments, "--size", 30, 64)
     assert code == 2
     assert "height must be a multiple of 16, got 30" in err
@@ -74,5 +79,5 @@ def test_auto_takes_what_the_command_found_fastest(msnet, tmp_path, monkeypatch)
     monkeypatch.setattr("mobilestereonet.runtimes.choose.user_cache", lambda: tmp_path)
     code, out, _ = msnet("bench", "--weights", weights, "--device", "cpu", "--size", 32, 64)
     assert code == 0
-    assert out.splitlines()[-1] == "--runtime auto on cpu: openvino in fp32"
+    assert "--runtime auto on cpu: openvino in fp32" in out.splitlines()
     assert "openvino" in (tmp_path / "fastest.json").read_text()

@@ -25,6 +25,8 @@ def bench(
     On this CPU ``--runtime auto`` takes the fastest one of each precision from then on, for this
     network.
     """
+    import sys
+
     from rich.console import Console
     from rich.table import Table
 
@@ -41,7 +43,14 @@ def bench(
     left, right = map(normalise, real_pair(size))
     engines = installed_engines(device)
     times = compare_engines(
-        net, left, right, engines, device=device, threads=threads, repeats=repeats
+        net,
+        left,
+        right,
+        engines,
+        device=device,
+        threads=threads,
+        repeats=repeats,
+        opening=lambda *engine: print("making ready:", *engine, file=sys.stderr),
     )
     table = Table("engine", "precision", title=f"{name}, {size[0]}x{size[1]}, {device}")
     for column in ("ms", "times faster", "mean difference, px"):
@@ -55,12 +64,14 @@ def bench(
             f"{row.difference:.5f}",
         )
     Console().print(table)
-    taken = "torch"
+    taken, kept = "torch", None
     if device == "cpu":
-        remember_fastest(net.config, fastest(times))
+        kept = remember_fastest(net.config, fastest(times))
         precisions = dict.fromkeys(row.precision for row in times)
         taken = ", ".join(
             f"{choose_engine('auto', net.config, precision, device)[0]} in {precision}"
             for precision in precisions
         )
     print(f"--runtime auto on {device}: {taken}")
+    if kept is not None:
+        print(f"kept in {kept}: delete it and auto is torch again")

@@ -22,15 +22,21 @@ def demo(
     device: Device = "auto",
     refine: Refine = None,
 ) -> None:
-    """Match the real Motorcycle pair that scikit-image brings along, and score the result."""
+    """Match the real Motorcycle pair that scikit-image brings along, and score the result.
+
+    The pair and its calibration are written, too, to try other commands on.
+    """
     import torch
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.data.motorcycle import motorcycle
+    from mobilestereonet.data.calibration import write_calibration
+    from mobilestereonet.data.files import write_png
+    from mobilestereonet.data.motorcycle import CALIBRATION, motorcycle
     from mobilestereonet.data.sample import collate
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.metrics import StereoMetrics
+    from mobilestereonet.plots import to_picture
 
     sample = motorcycle()
     matcher = StereoMatcher.from_pretrained(
@@ -41,6 +47,11 @@ def demo(
     make_folder(output)
     result = matcher(sample.left, sample.right)
     files = result.save(output, sample.name)
+    pair = [output / name for name in ("left.png", "right.png", "calib.txt")]
+    write_png(pair[0], to_picture(sample.left))
+    write_png(pair[1], to_picture(sample.right))
+    height, width = result.disparity.shape
+    write_calibration(pair[2], CALIBRATION, (width, height))
     metrics = StereoMetrics()
     metrics.update(torch.from_numpy(result.disparity)[None], collate([sample]))
     scores = metrics.compute()
@@ -55,3 +66,4 @@ def demo(
     print(f"Time {result.facts['seconds']:.2f} s, the first run's")
     print(f"Picture {files['picture']}, left view beside the disparity (blue far, red near)")
     print(f"Disparity {', '.join(str(files[kind]) for kind in ('png', 'pfm', 'npy'))}")
+    print(f"Pair {', '.join(map(str, pair))}")

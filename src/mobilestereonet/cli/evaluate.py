@@ -59,7 +59,7 @@ def evaluate(
     from rich.console import Console
     from rich.progress import track
 
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import make_folder, refuse_folder
     from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data import open_data_set
@@ -98,6 +98,8 @@ def evaluate(
     for folder in (pictures, json and json.parent):
         if folder is not None:
             make_folder(folder)
+    if json is not None:
+        refuse_folder(json)
     progress = Console(stderr=True)
     evaluations = []
     for matcher, own in zip(matchers, protocols, strict=True):

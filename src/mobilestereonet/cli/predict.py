@@ -76,7 +76,12 @@ def predict(
     calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
     if calibration is None and (depth_files or point_files):
         raise InputError("depth and points need --calib FILE, or --focal and --baseline")
+    if calibration is not None and not (depth_files or point_files):
+        raise InputError("a calibration is for --depth FILE or --points FILE: add one of them")
     pair = load_pair(left, right)
+    if calibration is not None:
+        height, width = pair[0].shape[-2:]
+        calibration.require_size(width, height)
     matcher = StereoMatcher.from_pretrained(
         model,
         weights=weights,

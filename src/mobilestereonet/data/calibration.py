@@ -84,6 +84,7 @@ def _middlebury(entries: dict[str, str]) -> Calibration:
         doffs=doffs,
         cx=left[2],
         cy=left[5],
+        size=_size(entries, "width", "height"),
     )
 
 
@@ -101,7 +102,16 @@ def _kitti(entries: dict[str, str], cameras: tuple[int, int]) -> Calibration:
         doffs=right[2] - left[2],
         cx=left[2],
         cy=left[6],
+        size=_size(entries, f"S_rect_{cameras[0]:02d}"),
     )
+
+
+def _size(entries: dict[str, str], *names: str) -> tuple[int, int] | None:
+    """Width and height, where the file tells them."""
+    if not set(names) <= entries.keys():
+        return None
+    width, height = (n for name in names for n in _numbers(entries, name, 2 // len(names)))
+    return round(width), round(height)
 
 
 def _numbers(entries: dict[str, str], name: str, count: int) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ def from_camera_info(entries: dict[str, Any], left: dict[str, Any] | None = None
             "camera's"
         )
     left_matrix = right_matrix * [1, 1, 1, 0] if left is None else _projection(left)
-    return from_projections(left_matrix, right_matrix, "m")
+    return replace(from_projections(left_matrix, right_matrix, "m"), size=_image_size(entries))
 
 
 def _projection(entries: dict[str, Any]) -> Matrix:
@@ -242,8 +242,10 @@ def read_rig(*paths: str | Path, unit: str | None = None) -> StereoRig:
 
 
 def _image_size(entries: dict[str, Any]) -> tuple[int, int] | None:
-    if {"image_width", "image_height"} <= entries.keys():
-        return int(entries["image_width"]), int(entries["image_height"])
+    for names in (("image_width", "image_height"), ("width", "height")):
+        if set(names) <= entries.keys():
+            width, height = (matrix_of(entries, [name], (1,))[0] for name in names)
+            return int(width), int(height)
     for name in ("imageSize", "image_size"):
         if name in entries:
             width, height = matrix_of(entries, [name], (2,))

@@ -7,11 +7,19 @@ import torch
 from skimage.data import stereo_motorcycle
 
 from mobilestereonet.data.files import image_to_tensor
-from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.data.sample import Calibration, StereoSample
+
+CALIBRATION = Calibration(
+    focal=994.978, baseline=0.193001, doffs=31.086, cx=311.193, cy=254.877, size=(741, 500)
+)
+"""The pair's geometry at its size, as scikit-image's documentation gives it."""
 
 
 def motorcycle() -> StereoSample:
-    """Middlebury 2014's Motorcycle, 500 x 741, with ground truth, from scikit-image's own wheel."""
+    """Middlebury 2014's Motorcycle, 500 x 741, with ground truth and calibration.
+
+    It is in scikit-image's own wheel.
+    """
     left, right, truth = stereo_motorcycle()  # type: ignore[no-untyped-call]
     valid = np.isfinite(truth)
     return StereoSample(
@@ -19,5 +27,6 @@ def motorcycle() -> StereoSample:
         right=image_to_tensor(right),
         disparity=torch.from_numpy(np.where(valid, truth, 0).astype(np.float32)),
         valid=torch.from_numpy(valid),
+        calibration=CALIBRATION,
         name="motorcycle",
     )

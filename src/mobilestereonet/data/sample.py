@@ -25,6 +25,7 @@ class Calibration:
         doffs: Difference of the principal points, right minus left, in pixels.
         cx: Column of the left view's principal point, in pixels; None if unknown.
         cy: Row of the left view's principal point, in pixels; None if unknown.
+        size: Width and height of the views that it belongs to, in pixels; None if unknown.
     """
 
     focal: float
@@ -32,6 +33,7 @@ class Calibration:
     doffs: float = 0.0
     cx: float | None = None
     cy: float | None = None
+    size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         for name in ("focal", "baseline"):
@@ -44,6 +46,22 @@ class Calibration:
         for name in ("doffs", "cx", "cy"):
             if not math.isfinite(getattr(self, name) or 0):
                 raise InputError(f"calibration: {name} must be finite, got {getattr(self, name)}")
+
+    def require_size(self, width: int, height: int) -> None:
+        """Check that the calibration is one of views of this size.
+
+        Raises:
+            InputError: If it is known to be of another: depth would be wrong by the ratio.
+        """
+        if self.size in (None, (width, height)):
+            return
+        scale = width / self.size[0]
+        raise InputError(
+            f"the calibration is of views of {self.size[0]}x{self.size[1]}, these have "
+            f"{width}x{height} (width x height): give the calibration of these views; if they "
+            f"were only resized, that is focal {self.focal * scale:.6g}, baseline "
+            f"{self.baseline:.6g}, doffs {self.doffs * scale:.6g}"
+        )
 
     def principal_point(self, width: int, height: int) -> tuple[float, float]:
         """Column and row of the left view's principal point: its middle, where not known."""

@@ -34,7 +34,12 @@ def depth_from_disparity(disparity: FloatMap, valid: Mask, calibration: Calibrat
     Returns:
         (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is where
         ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
+
+    Raises:
+        InputError: If the calibration is known to be of another size.
     """
+    height, width = disparity.shape
+    calibration.require_size(width, height)
     shifted = disparity + np.float32(calibration.doffs)
     known = valid & (shifted >= SMALLEST_DISPARITY)
     depth = calibration.focal * calibration.baseline / np.where(known, shifted, 1)

@@ -24,6 +24,7 @@ from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
 from mobilestereonet.runtimes.base import ConfidentRuntime, Runtime
 from mobilestereonet.runtimes.choose import AUTO, open_runtime
+from mobilestereonet.runtimes.scores import use_threads
 from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import load_pretrained, load_weights
@@ -77,7 +78,8 @@ class StereoMatcher:
             engine = TorchRuntime(engine)
         if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
             raise InputError(
-                f"{engine.name} tells no confidence; the left-right check works with it"
+                f"{engine.name} tells no confidence: leave it, a minimum of it and the refinement "
+                "out; the left-right check works"
             )
         self.runtime: Runtime = engine
         self.model = model or engine.name
@@ -268,7 +270,8 @@ class StereoMatcher:
         if not self.refine:
             return maps
         disparity, sure = maps
-        disparity = refine_disparity(disparity, sure, left)
+        with use_threads(cast(ConfidentRuntime, self.runtime).threads):
+            disparity = refine_disparity(disparity, sure, left)
         return torch.stack((disparity, sure)) if confidence else disparity[None]
 
     def _tile_for(self, height: int, width: int) -> tuple[int, int] | None:

@@ -25,7 +25,7 @@ from mobilestereonet.plots import Picture, colour_disparity, side_by_side
 _LARGEST_IN_PNG = 65535 / KITTI_SCALE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class StereoResult:
     """Disparity of the left view, and what belongs to it.
 
@@ -52,6 +52,12 @@ class StereoResult:
     occluded: Mask | None = None
     facts: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        height, width = self.disparity.shape
+        known = self.disparity[self.valid]
+        span = f"disparity {known.min():.1f} to {known.max():.1f} px" if known.size else "no match"
+        return f"StereoResult({width}x{height}, {span}, {self.facts})"
+
     def depth(self, calibration: Calibration) -> FloatMap:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
 
@@ -61,6 +67,9 @@ class StereoResult:
         Returns:
             (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is
             where ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
+
+        Raises:
+            InputError: If the calibration is known to be of another size.
         """
         return depth_from_disparity(self.disparity, self.valid, calibration)
 
@@ -85,6 +94,9 @@ class StereoResult:
 
         Returns:
             The points, row by row.
+
+        Raises:
+            InputError: If the calibration is known to be of another size.
         """
         kept = self.valid if edges else self.valid & ~depth_edges(self.disparity, self.valid)
         if self.confidence is not None:

@@ -89,7 +89,7 @@ def choose_engine(
 _FASTEST = "fastest.json"
 
 
-def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> None:
+def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> Path | None:
     """Let "auto" take these engines for a network on this machine's CPU from now on.
 
     They are kept in the user's cache folder; where that cannot be written to, nothing changes.
@@ -97,10 +97,16 @@ def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> None:
     Args:
         config: The network's.
         engines: Precisions and, for each, the name of the fastest engine.
+
+    Returns:
+        The file that they are kept in; None if it cannot be written.
     """
     text = json.dumps({**_remembered(), str(config): dict(engines)}, indent=2) + "\n"
+    path = user_cache() / _FASTEST
     with suppress(OSError):
-        write_atomically(user_cache() / _FASTEST, lambda file: file.write_text(text, "utf-8"))
+        write_atomically(path, lambda file: file.write_text(text, "utf-8"))
+        return path
+    return None
 
 
 def _fastest(config: NetConfig, precision: str) -> str:

@@ -60,6 +60,7 @@ def compare_engines(
     device: str = "cpu",
     threads: int | None = None,
     repeats: int = 5,
+    opening: Callable[[str, str], object] | None = None,
 ) -> list[EngineTime]:
     """Time engines in turns, so that whatever else the machine does meets all of them.
 
@@ -71,6 +72,8 @@ def compare_engines(
         device: Where PyTorch runs, see `open_runtime`.
         threads: Threads on a CPU; None leaves it to each engine.
         repeats: Timed runs of each; one before them is not timed.
+        opening: Is told each engine's name and precision before that one is made ready, which may
+            be a conversion of minutes.
 
     Returns:
         "eager" in fp32, then the engines in their order.
@@ -78,6 +81,8 @@ def compare_engines(
     left, right = left.to(device), right.to(device)
     runs: list[Callable[[], Tensor]] = [_eager(net, left, right, threads)]
     for name, precision in engines:
+        if opening is not None:
+            opening(name, precision)
         engine = open_runtime(name, net, precision=precision, device=device, threads=threads)
         runs.append(lambda engine=engine: engine(left, right).cpu())  # type: ignore[misc]
     disparities = [run() for run in runs]

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mobilestereonet.data.motorcycle import motorcycle
-from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 
-# As scikit-image's documentation of the pair gives it, for its size.
-_MOTORCYCLE = Calibration(focal=994.978, baseline=0.193001, doffs=31.086, cx=311.193, cy=254.877)
 _RENDERED = SceneConfig(
     height=320,
     width=512,
@@ -25,6 +23,6 @@ def examples() -> list[StereoSample]:
     """A real pair and rendered ones, each with its calibration and a name to show."""
     scenes = ProceduralScenes(_RENDERED)
     return [
-        replace(motorcycle(), calibration=_MOTORCYCLE, name="Motorcycle"),
+        replace(motorcycle(), name="Motorcycle"),
         *(replace(scenes[index], name=name) for name, index in _SCENES.items()),
     ]
