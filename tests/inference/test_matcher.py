@@ -42,18 +42,21 @@ def random_pair(height, width, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (2, height, width, 3), dtype=np.uint8)
 
 
-def test_engine_gets_normalised_views_padded_with_zeros_above_and_on_the_right():
+def test_engine_gets_normalised_views_padded_with_their_border_above_and_on_the_right():
     recorder = Recorder()
     left = np.full((30, 50, 3), (255, 0, 51), np.uint8)
+    left[0, :, 1] = left[:, -1, 1] = 128
     result = StereoMatcher(recorder)(left, np.zeros_like(left))
     assert recorder.left.shape == recorder.right.shape == (1, 3, 32, 64)
     for channel, value in enumerate((1.0, 0.0, 0.2)):
         expected = (value - MEAN[channel]) / STD[channel]
         torch.testing.assert_close(
-            recorder.left[0, channel, 2:, :50], torch.full((30, 50), expected), rtol=0, atol=1e-6
+            recorder.left[0, channel, 3:, :49], torch.full((29, 49), expected), rtol=0, atol=1e-6
         )
-    assert not recorder.left[..., :2, :].any()
-    assert not recorder.left[..., 50:].any()
+    border = recorder.left[0, 1, 0, 0]
+    assert border > expected
+    assert (recorder.left[0, 1, :3] == border).all()
+    assert (recorder.left[0, 1, :, 49:] == border).all()
     # The first pixel of the result was the first of the third row.
     assert result.disparity.shape == (30, 50)
     assert result.disparity[0, 0] == 2000
@@ -73,6 +76,9 @@ def test_padding_to_a_given_size():
     matcher = StereoMatcher(recorder, padding=(64, 96))
     assert matcher(*random_pair(30, 50)).disparity[0, 0] == 34_000
     assert recorder.left.shape[-2:] == (64, 96)
+    # Zeros then, as the authors pad.
+    assert not recorder.left[..., :34, :].any()
+    assert not recorder.left[..., 50:].any()
     with pytest.raises(InputError, match=r"65 x 50 .* larger than the padding to 64 x 96"):
         matcher(*random_pair(65, 50))
 

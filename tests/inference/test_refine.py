@@ -1,5 +1,6 @@
 """Refinement by the picture, on pictures whose right answer is known."""
 
+import pytest
 import torch
 
 from mobilestereonet.inference.refine import refine_disparity
@@ -27,6 +28,25 @@ def test_unsure_pixels_take_the_background():
     found[..., 45:60], sure[..., 45:60] = 33.0, 0.1  # what the right camera does not see
     found[..., :9], sure[..., :9] = 99.0, 0.2  # neither the left border: one neighbour
     assert torch.equal(refine_disparity(found, sure, view), truth)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "background"),
+    [
+        (40, 60, BACK),  # the step is 30 px
+        (20, 60, None),
+        (80, 84, FRONT),  # no step
+        (80, 100, None),
+        (0, 12, BACK),  # the left border, beyond which 10 px lie
+        (0, 24, None),
+        (100, 120, None),  # nothing hides the right border
+    ],
+)
+def test_a_gap_wider_than_what_occlusion_hides_stays(first, last, background):
+    found, sure, view = scene()
+    found[..., first:last], sure[..., first:last] = 42.0, 0.1
+    middle = refine_disparity(found, sure, view)[..., (first + last) // 2]
+    assert (middle == (42.0 if background is None else background)).all()
 
 
 def test_a_row_without_any_sure_pixel_is_left_alone():

@@ -39,7 +39,7 @@ def describe(
         "std": _numbers(IMAGENET_STD),
         "size": "any" if size is None else "{} x {} (height x width)".format(*size),
         "size_multiple": str(SIZE_MULTIPLE),
-        "padding": "with the mean colour, above and on the right; crop the disparity likewise",
+        "padding": "above and on the right with the border's pixels; crop the disparity likewise",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
         "disparity_range": f"0..{config.max_disparity - 1}",
     }

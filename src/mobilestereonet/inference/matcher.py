@@ -55,8 +55,8 @@ class StereoMatcher:
         Args:
             engine: A network, which PyTorch runs on the CPU, or a runtime.
             model: What ``facts`` call it; by default told from the network's config.
-            padding: Height and width to which every pair is padded; by default the next
-                multiples that the engine takes.
+            padding: Height and width to which every pair is padded with zeros, as the authors do;
+                by default its border is repeated up to the next multiples that the engine takes.
             tile: Height and width of the overlapping tiles in which a larger pair is matched,
                 margins included; None for one piece at any size. By default `TILE`, for pairs
                 above `WHOLE_PIXELS`: Full HD fits into 4 GB in one piece, and any pair does in
@@ -283,7 +283,7 @@ class StereoMatcher:
         height, width = left.shape[-2:]
         padded = self._padded_size(height, width)
         views = [normalise(view) if self.runtime.normalised else view for view in (left, right)]
-        views = [pad(view, *padded) for view in views]
+        views = [pad(view, *padded, zeros=self.padding is not None) for view in views]
         if confidence:
             maps = torch.stack(cast(ConfidentRuntime, self.runtime).with_confidence(*views))
         else:

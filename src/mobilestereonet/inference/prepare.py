@@ -80,21 +80,24 @@ def _channels_last(view: Tensor, name: str) -> NDArray[Any]:
     return array
 
 
-def pad(view: Tensor, height: int, width: int) -> Tensor:
-    """Pad with zeros above and on the right, as the authors' evaluation does.
+def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
+    """Pad above and on the right, as the authors' evaluation does.
 
     What was columns without a partner at the left border stays that: there is nothing further
-    left to match with, as in training. Zero is the mean colour once a view is normalised.
+    left to match with, as in training.
 
     Args:
-        view: (..., H, W).
+        view: (B, C, H, W).
         height: Height to reach.
         width: Width to reach.
+        zeros: True pads with zeros, as the authors do: the mean colour once a view is normalised.
+            False repeats the border's pixels, which disturbs what is beside them less.
 
     Returns:
-        (..., height, width).
+        (B, C, height, width).
     """
-    return F.pad(view, (0, width - view.shape[-1], height - view.shape[-2], 0))
+    around = (0, width - view.shape[-1], height - view.shape[-2], 0)
+    return F.pad(view, around, mode="constant" if zeros else "replicate")
 
 
 def unpad(map_: Tensor, height: int, width: int) -> Tensor:

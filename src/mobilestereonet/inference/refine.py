@@ -17,6 +17,9 @@ from torch import Tensor
 SURE = 0.3
 """Confidence from which a pixel keeps its disparity, and is a neighbour for others."""
 
+SLACK = 4
+"""Pixels by which an unsure gap may be wider than what occlusion hides."""
+
 STEPS = (7, 4, 2, 1)
 """Distances in px of the 3 x 3 neighbours, one pass after the other."""
 
@@ -57,15 +60,22 @@ def refine_disparity(disparity: Tensor, confidence: Tensor, views: Tensor) -> Te
 
 
 def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
-    """Give unsure pixels the farther of the two nearest sure ones of their row."""
+    """Give unsure pixels the farther of the two nearest sure ones of their row.
+
+    Where occlusion explains the gap between those: it is as wide as the step in disparity, and at
+    the left border as the disparity itself. What is unsure over more pixels is hard to match.
+    """
     width = disparity.shape[-1]
     column = torch.arange(width, device=disparity.device).expand_as(disparity)
     before = torch.where(sure, column, -1).cummax(-1).values
     after = torch.where(sure, column, width).flip(-1).cummin(-1).values.flip(-1)
-    left = disparity.gather(-1, before.clamp(min=0)).masked_fill(before < 0, torch.inf)
-    right = disparity.gather(-1, after.clamp(max=width - 1)).masked_fill(after == width, torch.inf)
-    farther = torch.minimum(left, right)
-    return torch.where(sure | farther.isinf(), disparity, farther)
+    no_left, no_right = before < 0, after == width
+    left = disparity.gather(-1, before.clamp(min=0))
+    right = disparity.gather(-1, after.clamp(max=width - 1))
+    farther = torch.where(no_left, right, torch.where(no_right, left, torch.minimum(left, right)))
+    step = torch.where(no_right, 0, (right - left.masked_fill(no_left, 0)).abs())
+    occluded = ~sure & (after - before - 1 <= step + SLACK)
+    return torch.where(occluded & ~(no_left & no_right), farther, disparity)
 
 
 def _by_colour(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
