@@ -69,6 +69,8 @@ def _write_sequences(folder, left, right):
 def shared_files(tmp_path_factory):
     """A small real pair under the pages' names, with calibrations and ground truth."""
     folder = tmp_path_factory.mktemp("pages")
+    demo = folder / "demo"
+    demo.mkdir()
     *views, truth = stereo_motorcycle()
     left, right = (
         cv2.resize(view[..., ::-1], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for view in views
@@ -77,6 +79,8 @@ def shared_files(tmp_path_factory):
         (folder / "my_pairs" / name).mkdir(parents=True)
         for path in (f"{name}.png", f"raw_{name}.png", f"my_pairs/{name}/000.png"):
             assert cv2.imwrite(str(folder / path), view)
+        assert cv2.imwrite(str(demo / f"{name}.png"), view)
+    write_calibration(demo / "calib.txt", Calibration(FOCAL, BASELINE), (WIDTH, HEIGHT))
     _write_sequences(folder, left, right)
     scale = WIDTH / truth.shape[1]
     small = cv2.resize(truth * scale, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
