@@ -46,6 +46,7 @@ def ablate(
     from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.training.ablate import ablate as run
     from mobilestereonet.training.ablate import ablation_table, table_models
+    from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import get_recipe, override
 
     values = parse_assignments(assignments or [])
@@ -53,6 +54,7 @@ def ablate(
         values |= {"steps": steps, "epochs": None}
     chosen = override(get_recipe(recipe), values)
     names = [model.strip() for model in models.split(",")] if models else table_models(table)
+    keep_freed_memory()
     rows = []
     for row in run(
         names,

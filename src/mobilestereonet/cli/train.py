@@ -54,6 +54,7 @@ def train(
     Without a data set it trains on procedural scenes, which need no download.
     """
     from mobilestereonet.cli.assignments import parse_assignments
+    from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import get_recipe, override, read_recipe
     from mobilestereonet.training.run import train as run
 
@@ -61,6 +62,7 @@ def train(
         chosen = read_recipe(folder / "recipe.json")
     else:
         chosen = get_recipe(recipe or "procedural")
+    keep_freed_memory()
     run(
         override(chosen, parse_assignments(assignments or [])),
         folder,

@@ -1,0 +1,24 @@
+"""What the C library does with memory that tensors free."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from contextlib import suppress
+
+# Parameters of glibc's mallopt, from its malloc.h.
+_TRIM_THRESHOLD, _MMAP_MAX = -1, -4
+
+
+def keep_freed_memory() -> None:
+    """Let this process keep freed memory for the next tensors, for good.
+
+    By default glibc returns large blocks to the kernel, which hands them out again page by page,
+    each cleared first: a tenth and more of a training step on a CPU. Elsewhere than in glibc
+    nothing happens.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            mallopt = ctypes.CDLL("libc.so.6").mallopt
+            mallopt(_MMAP_MAX, 0)
+            mallopt(_TRIM_THRESHOLD, -1)
