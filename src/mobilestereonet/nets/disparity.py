@@ -46,7 +46,8 @@ class _Moments(NamedTuple):
 
 def _moments(scores: Tensor, estimator: Estimator) -> _Moments:
     low, high = scores[:, :-1], scores[:, 1:]
-    gap = (high - low).abs()
+    rise = high - low
+    gap = rise.abs()
     best = torch.maximum(low, high) - gap / 8
     peak = best.amax(dim=1, keepdim=True)
     peak = torch.maximum(peak, torch.maximum(scores[:, :1], scores[:, -1:]))
@@ -56,7 +57,7 @@ def _moments(scores: Tensor, estimator: Estimator) -> _Moments:
     centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
     moments = _Moments(
         mass=e * (1 + r) * squares,
-        first=e * torch.sign(high - low) * (1 - r) * (1.5 * squares + 2 * r),
+        first=e * torch.sign(rise) * (1 - r) * (1.5 * squares + 2 * r),
         e=e,
         r=r,
         left_end=2 * torch.exp(scores[:, 0] - peak[:, 0]),
@@ -126,41 +127,49 @@ def soft_argmax(scores: Tensor, estimator: Estimator = "mean") -> Tensor:
 
 
 class _SoftArgmax(torch.autograd.Function):
-    """`soft_argmax` with its gradient in closed form, row by row: what training needs.
+    """`soft_argmax` and its derivative in closed form, row by row: what training needs.
 
-    The temporaries of some rows stay in the processor's cache, and none is kept for the backward
-    pass: about five times faster on a CPU than autograd through `soft_argmax`.
+    The temporaries of some rows stay in the processor's cache, and both come from the same ones:
+    several times faster on a CPU than autograd through `soft_argmax`.
     """
 
     @staticmethod
     def forward(ctx: Any, scores: Tensor, estimator: Estimator) -> Tensor:
-        ctx.save_for_backward(scores)
-        ctx.estimator = estimator
-        blocks = scores.split(_cached_rows(scores), dim=2)
-        return torch.cat([soft_argmax(rows, estimator) for rows in blocks], dim=1)
+        disparity = torch.empty_like(scores[:, 0])
+        derivative = torch.empty_like(scores)
+        step = _cached_rows(scores)
+        blocks = zip(
+            scores.split(step, 2), disparity.split(step, 1), derivative.split(step, 2), strict=True
+        )
+        for rows, *targets in blocks:
+            _soft_argmax_and_derivative(rows, estimator, *targets)
+        ctx.save_for_backward(derivative)
+        return disparity
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        (scores,) = ctx.saved_tensors
-        gradient = torch.empty_like(scores)
-        step = _cached_rows(scores)
-        blocks = zip(
-            scores.split(step, 2), gradient.split(step, 2), grads[0].split(step, 1), strict=True
-        )
-        for rows, target, grad in blocks:
-            m = _moments(rows, ctx.estimator)
-            disparity, total = _expectation(m, rows.shape[1])
-            scale = (grad / total).unsqueeze(1)
-            offset = m.centres - disparity.unsqueeze(1)
-            # A fine term at o from its interval's centre weighs the two scores 1/2 -+ o/4.
-            second = 2.25 * m.mass - 2 * m.e * m.r * (1 + m.r)
-            even = (offset * m.mass + m.first) * (scale / 2)
-            odd = (offset * m.first + second) * (scale / 4)
-            target[:, 1:-1] = (even + odd)[:, :-1] + (even - odd)[:, 1:]
-            last = 4 * rows.shape[1] - 1.5
-            target[:, 0] = (even - odd)[:, 0] + scale[:, 0] * (0.5 - disparity) * m.left_end
-            target[:, -1] = (even + odd)[:, -1] + scale[:, 0] * (last - disparity) * m.right_end
-        return gradient, None
+        (derivative,) = ctx.saved_tensors
+        return derivative * grads[0].unsqueeze(1), None
+
+
+def _soft_argmax_and_derivative(
+    scores: Tensor, estimator: Estimator, disparity: Tensor, derivative: Tensor
+) -> None:
+    """Fill in the disparity (B, H, W), and what each score (B, D, H, W) changes of it."""
+    m = _moments(scores, estimator)
+    found, total = _expectation(m, scores.shape[1])
+    disparity.copy_(found)
+    scale = 0.5 / total.unsqueeze(1)
+    offset = m.centres - found.unsqueeze(1)
+    # A fine term at o from its interval's centre weighs the two scores 1/2 -+ o/4.
+    even = torch.addcmul(m.first, offset, m.mass).mul_(scale)
+    second = torch.addcmul(2.25 * m.mass, m.e * m.r, 1 + m.r, value=-2)
+    odd = second.addcmul_(offset, m.first).mul_(scale / 2)
+    ends = 2 * scale[:, 0]
+    torch.sub(even, odd, out=derivative[:, :-1])
+    derivative[:, -1] = ends * (4 * scores.shape[1] - 1.5 - found) * m.right_end
+    derivative[:, 1:] += even.add_(odd)
+    derivative[:, 0] += ends * (0.5 - found) * m.left_end
 
 
 _CACHED = 1 << 17
