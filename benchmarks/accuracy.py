@@ -1,10 +1,12 @@
 """Accuracy of every embedded network, of the default one without refinement, and of StereoSGBM.
 
     python benchmarks/accuracy.py [--root DIR] [--scenes 100] [--weights FILE ...]
+        [--precision bf16] [--picture FILE]
 
 scikit-image's Motorcycle and procedural scenes need nothing; ``--root`` holds any of the public
 data sets, each in a folder of its name and in the layout in which it ships (kitti2015, sceneflow,
-middeval3, eth3d, middlebury2003, middlebury2005, ...).
+middeval3, eth3d, middlebury2003, middlebury2005, ...). The picture shows the Motorcycle and the
+first procedural scenes, all models side by side.
 """
 
 from __future__ import annotations
@@ -15,24 +17,29 @@ import statistics
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
+import cv2
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mobilestereonet.data import data_sets, open_data_set
+from mobilestereonet.data import data_sets, open_data_set, write_png
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
+from mobilestereonet.plots import Picture, colour_disparity, side_by_side, to_picture
 from mobilestereonet.weights import embedded_models
 
 SYNTHETIC = ("sceneflow", "sintel", "vkitti2", "procedural")
 OPTIONS = {"sceneflow": {"split": "test", "render": "cleanpass"}}
 """Options of the scanners where their defaults do not fit."""
 
-EXACT = {"runtime": "torch", "precision": "fp32"}
+PICTURE_WIDTH = 300
+"""Width of a panel, in px."""
 
 SCENE_SEED = 2_000_003
 """Seed of the procedural scenes: neither training nor validation during training uses it."""
@@ -54,14 +61,32 @@ def scenes(count: int) -> Iterable[StereoSample]:
     return ProceduralScenes(SceneConfig(seed=SCENE_SEED, length=count))
 
 
-def matchers(weights: Iterable[Path]) -> dict[str, StereoMatcher]:
-    """StereoSGBM, every embedded network, and networks of weights files, by their names."""
-    found = {"sgbm": StereoMatcher.from_pretrained("sgbm")}
-    for name in embedded_models():
-        found[name] = StereoMatcher.from_pretrained(name, **EXACT)
+def matchers(weights: Iterable[Path], precision: str = "fp32") -> dict[str, StereoMatcher]:
+    """Every embedded network, networks of weights files, and StereoSGBM, by their names."""
+    engine = {"runtime": "torch", "precision": precision}
+    found = {name: StereoMatcher.from_pretrained(name, **engine) for name in embedded_models()}
     for path in weights:
-        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **EXACT)
-    return found
+        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **engine)
+    return found | {"sgbm": StereoMatcher.from_pretrained("sgbm")}
+
+
+def picture(samples: Iterable[StereoSample], models: dict[str, StereoMatcher]) -> Picture:
+    """One row per pair: left view, ground truth, and the disparity of every model."""
+    rows = []
+    for sample in samples:
+        nearest = float(sample.disparity.max())
+        panels = {
+            "left": to_picture(sample.left),
+            "ground truth": colour_disparity(sample.disparity, nearest, sample.valid),
+        }
+        for name, matcher in models.items():
+            (disparity,) = matcher.disparity(sample.left[None], sample.right[None])
+            panels[name] = colour_disparity(disparity, nearest)
+        height, width = sample.left.shape[-2:]
+        size = PICTURE_WIDTH, round(PICTURE_WIDTH * height / width)
+        small = [cv2.resize(panel, size, interpolation=cv2.INTER_AREA) for panel in panels.values()]
+        rows.append(side_by_side(small, list(panels)))
+    return np.concatenate(rows)
 
 
 def main() -> None:
@@ -69,6 +94,8 @@ def main() -> None:
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
     parser.add_argument("--scenes", type=int, default=100, help="procedural scenes")
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
+    parser.add_argument("--precision", default="fp32", help="what the networks compute in")
+    parser.add_argument("--picture", type=Path, help="file for a picture (.png)")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
 
@@ -77,9 +104,12 @@ def main() -> None:
         sets.append(("procedural", scenes(arguments.scenes)))
 
     records = []
-    found = matchers(arguments.weights)
-    plain = StereoMatcher.from_pretrained(DEFAULT_MODEL, refine=False, **EXACT)
-    found[f"{DEFAULT_MODEL} --no-refine"] = plain
+    found = matchers(arguments.weights, arguments.precision)
+    if arguments.picture:
+        shown = [motorcycle(), *islice(scenes(3), 3)]
+        write_png(arguments.picture, picture(shown, found))
+    default = found[DEFAULT_MODEL]
+    found[f"{DEFAULT_MODEL} --no-refine"] = StereoMatcher(default.runtime, model=DEFAULT_MODEL)
     for model, matcher in found.items():
         for name, samples in sets:
             groups = [(name, samples)]

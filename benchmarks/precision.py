@@ -23,7 +23,6 @@ from mobilestereonet.evaluation import evaluate
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
-from mobilestereonet.nets.normalise import IMAGENET_MEAN, IMAGENET_STD
 from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.weights import load_pretrained, load_weights
 
@@ -32,9 +31,9 @@ ENGINES = ("torch:bf16", "onnxruntime:fp32", "openvino:fp32", "openvino:bf16")
 
 
 class File:
-    """An exported file as an engine. Takes normalised views, so that padding is the mean colour."""
+    """An exported file as an engine: its views are not normalised, it does that itself."""
 
-    normalised = True
+    normalised = False
     multiple = SIZE_MULTIPLE
     precision = "the file's"
 
@@ -44,10 +43,7 @@ class File:
         self.run = next(f for f in FORMATS.values() if f.ending == path.suffix).open(path)
 
     def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        mean, std = (
-            torch.tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_STD)
-        )
-        return self.run(left * std + mean, right * std + mean)
+        return self.run(left, right)
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """How much D1 suffers when pairs get worse: noise, blur, low light, JPEG and others.
 
-    python benchmarks/robustness.py [--root DIR] [--weights FILE ...] [--json FILE]
+    python benchmarks/robustness.py [--root DIR] [--weights FILE ...] [--precision bf16]
+        [--json FILE]
 
 StereoSGBM and every embedded network on the real pairs of `accuracy.py`, as they are and spoilt.
 The median over the pairs counts. Noise has a fixed seed, so that everyone gets the same views.
@@ -110,12 +111,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
+    parser.add_argument("--precision", default="fp32", help="what the networks compute in")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     sets = real_and_synthetic(arguments.root)
     pairs = [pair for name, pairs in sets if name not in SYNTHETIC for pair in pairs]
 
-    all_matchers = matchers(arguments.weights)
+    all_matchers = matchers(arguments.weights, arguments.precision)
     figures = {
         condition: {
             model: [score(matcher, spoil(pair)) for pair in pairs]
