@@ -66,6 +66,8 @@ def matchers(weights: Iterable[Path], precision: str = "fp32") -> dict[str, Ster
     engine = {"runtime": "torch", "precision": precision}
     found = {name: StereoMatcher.from_pretrained(name, **engine) for name in embedded_models()}
     for path in weights:
+        if path.stem in found:
+            raise SystemExit(f"{path}: {path.stem} is the name of another model: rename the file")
         found[path.stem] = StereoMatcher.from_pretrained(weights=path, **engine)
     return found | {"sgbm": StereoMatcher.from_pretrained("sgbm")}
 
@@ -94,7 +96,7 @@ def main() -> None:
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
     parser.add_argument("--scenes", type=int, default=100, help="procedural scenes")
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
-    parser.add_argument("--precision", default="fp32", help="what the networks compute in")
+    parser.add_argument("--precision", default="fp32", help="the networks': fp32, bf16")
     parser.add_argument("--picture", type=Path, help="file for a picture (.png)")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
@@ -120,15 +122,16 @@ def main() -> None:
                 figures = result.scores.masks["all"].per_image
                 record = {"model": model, "set": name, "pair": title, **figures}
                 records.append(record | {"seconds": result.seconds_per_image})
-    Console(width=110).print(table(records))
+    Console(width=110).print(table(records, arguments.precision))
     for model in found:
         print(summary(model, [record for record in records if record["model"] == model]))
     if arguments.json:
         arguments.json.write_text(json.dumps(records, indent=2) + "\n")
 
 
-def table(records: list[dict]) -> Table:
-    result = Table("pair", "model", title="EPE in px, the others in %, time in s")
+def table(records: list[dict], precision: str) -> Table:
+    title = f"Networks in {precision}; EPE in px, the others in %, time in s"
+    result = Table("pair", "model", title=title)
     for column in ("EPE", "D1", "px-1", "px-2", "px-3", "seconds"):
         result.add_column(column, justify="right")
     pair = None

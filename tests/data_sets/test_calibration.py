@@ -82,6 +82,8 @@ def test_other_camera_numbers(tmp_path):
         ("hello", "neither cam0"),
         ("", "neither cam0"),
         (MIDDLEBURY.replace("baseline=193.001", ""), "no baseline"),
+        (MIDDLEBURY.replace("width=741", "width=0"), "width and height must be positive"),
+        (MIDDLEBURY.replace("width=741", "width=inf"), "width and height must be finite"),
         (MIDDLEBURY.replace("193.001", "wide"), "baseline must hold 1 number"),
         (MIDDLEBURY.replace("; 0 0 1]", "]"), "cam0 must hold 9"),
         (MIDDLEBURY.replace("193.001", "0"), "baseline must be positive"),
@@ -137,6 +139,8 @@ def test_ros_message_as_it_is_printed(tmp_path):
         "K: [712.0, 0.0, 318.0, 0.0, 711.0, 243.0, 0.0, 0.0, 1.0]\n"
         "P: [700.0, 0.0, 332.0, -84.0, 0.0, 700.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]\n---\n"
     )
+    unknown = message.replace("480", "0").replace("640", "0")
+    assert calibration_of(tmp_path, unknown).size is None
     for text in (message, message.replace("P:", "p:"), message * 2):
         assert calibration_of(tmp_path, text).baseline == pytest.approx(0.12)
         assert calibration_of(tmp_path, text).size == (640, 480)

@@ -60,8 +60,6 @@ def test_matcher_gives_the_right_view_and_the_check():
 class Sure(Bright):
     """It is as sure as the right view is bright."""
 
-    threads = None
-
     def with_confidence(self, left, right):
         return self(left, right), right.mean(dim=1)
 

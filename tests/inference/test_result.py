@@ -37,6 +37,8 @@ def test_depth_of_another_size_is_refused(result):
     for use in (result.depth, result.points):
         with pytest.raises(InputError, match=r"of 6x4, these have 3x2.*focal 500.*doffs 4"):
             use(calibration)
+        with pytest.raises(InputError, match=r"give the calibration of these views$"):
+            use(replace(calibration, size=(3, 20)))  # cut, not resized
     result.depth(replace(calibration, size=(3, 2)))
 
 

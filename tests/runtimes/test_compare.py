@@ -62,7 +62,10 @@ def test_command(msnet, tmp_path, monkeypatch):
     assert any("torch" in line and "fp32" in line for line in lines)
     assert lines[-2] == "--runtime auto on cpu: torch in fp32"
     kept = tmp_path / "cache" / "fastest.json"
-    assert lines[-1] == f"kept in {kept}: delete it and auto is torch again"
+    assert (
+        lines[-1]
+        == f"kept in {kept}, with those of other networks: delete it and auto is torch again"
+    )
     assert kept.is_file()
     code, _, err = msnet(*arguments, "--size", 30, 64)
     assert code == 2

@@ -1,5 +1,7 @@
 """Folders of pairs."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -46,6 +48,11 @@ def test_every_kind_of_map_is_written_and_read_back(pairs, matcher, tmp_path):
     assert names == {f"x_{kind}" for kind in MAP_KINDS}
     depth = np.load(files.path(deep.name, "depth.npy"))
     assert np.median(centre(depth)) == pytest.approx(5 / 12, rel=0.01)
+    other = replace(pairs[0], calibration=replace(calibration, size=(8, 8)))
+    first, second = match_pairs([other, replace(deep, name="again")], matcher, files)
+    assert "the calibration is of views of 8x8" in first.problem
+    assert not second.problem
+    assert not list(files.folder.glob("view_0*"))
     with pytest.raises(InputError, match="depth needs a calibration, and view_0 has none"):
         list(match_pairs(pairs[:1], matcher, files))
     with pytest.raises(InputError, match=r"got \['depth.exr'\]"):

@@ -64,14 +64,17 @@ def bench(
             f"{row.difference:.5f}",
         )
     Console().print(table)
-    taken, kept = "torch", None
+    taken, kept = "torch", ""
     if device == "cpu":
-        kept = remember_fastest(net.config, fastest(times))
+        file = remember_fastest(net.config, fastest(times))
+        kept = f"kept in {file}, with those of other networks: delete it and auto is torch again"
+        if file is None:
+            kept = "it could not be kept: the user's cache folder cannot be written to"
         precisions = dict.fromkeys(row.precision for row in times)
         taken = ", ".join(
             f"{choose_engine('auto', net.config, precision, device)[0]} in {precision}"
             for precision in precisions
         )
     print(f"--runtime auto on {device}: {taken}")
-    if kept is not None:
-        print(f"kept in {kept}: delete it and auto is torch again")
+    if kept:
+        print(kept)

@@ -11,6 +11,7 @@ from mobilestereonet.data.camera_yaml import (
     from_opencv,
     is_camera_info,
     read_camera_yaml,
+    view_size,
 )
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.data.sample import Calibration
@@ -111,7 +112,7 @@ def _size(entries: dict[str, str], *names: str) -> tuple[int, int] | None:
     if not set(names) <= entries.keys():
         return None
     width, height = (n for name in names for n in _numbers(entries, name, 2 // len(names)))
-    return round(width), round(height)
+    return view_size(width, height)
 
 
 def _numbers(entries: dict[str, str], name: str, count: int) -> list[float]:
@@ -133,8 +134,12 @@ def write_calibration(path: str | Path, calibration: Calibration, size: tuple[in
         path: The file to write.
         calibration: The geometry; the principal point is the middle of the picture if unknown.
         size: Width and height of the views, in px.
+
+    Raises:
+        InputError: If the calibration is known to be of another size.
     """
     width, height = size
+    calibration.require_size(width, height)
     cx, cy = calibration.principal_point(width, height)
     focal, doffs = calibration.focal, calibration.doffs
     text = (

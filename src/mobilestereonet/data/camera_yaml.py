@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -85,7 +86,23 @@ def from_camera_info(entries: dict[str, Any], left: dict[str, Any] | None = None
             "camera's"
         )
     left_matrix = right_matrix * [1, 1, 1, 0] if left is None else _projection(left)
-    return replace(from_projections(left_matrix, right_matrix, "m"), size=_image_size(entries))
+    calibration = from_projections(left_matrix, right_matrix, "m")
+    for names in (("image_width", "image_height"), ("width", "height")):  # a file, a message
+        if set(names) <= entries.keys():
+            width, height = (float(matrix_of(entries, [name], (1,))[0]) for name in names)
+            return replace(calibration, size=view_size(width, height) if width or height else None)
+    return calibration
+
+
+def view_size(width: float, height: float) -> tuple[int, int]:
+    """Width and height as whole numbers.
+
+    Raises:
+        InputError: If one is not finite. `Calibration` refuses what is not positive.
+    """
+    if not math.isfinite(width + height):
+        raise InputError(f"width and height must be finite, got {width} and {height}")
+    return round(width), round(height)
 
 
 def _projection(entries: dict[str, Any]) -> Matrix:
@@ -242,10 +259,8 @@ def read_rig(*paths: str | Path, unit: str | None = None) -> StereoRig:
 
 
 def _image_size(entries: dict[str, Any]) -> tuple[int, int] | None:
-    for names in (("image_width", "image_height"), ("width", "height")):
-        if set(names) <= entries.keys():
-            width, height = (matrix_of(entries, [name], (1,))[0] for name in names)
-            return int(width), int(height)
+    if {"image_width", "image_height"} <= entries.keys():
+        return int(entries["image_width"]), int(entries["image_height"])
     for name in ("imageSize", "image_size"):
         if name in entries:
             width, height = matrix_of(entries, [name], (2,))

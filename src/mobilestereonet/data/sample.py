@@ -46,6 +46,10 @@ class Calibration:
         for name in ("doffs", "cx", "cy"):
             if not math.isfinite(getattr(self, name) or 0):
                 raise InputError(f"calibration: {name} must be finite, got {getattr(self, name)}")
+        if self.size is not None and not all(0 < side < math.inf for side in self.size):
+            raise InputError(
+                f"calibration: width and height must be positive and finite, got {self.size}"
+            )
 
     def require_size(self, width: int, height: int) -> None:
         """Check that the calibration is one of views of this size.
@@ -53,15 +57,20 @@ class Calibration:
         Raises:
             InputError: If it is known to be of another: depth would be wrong by the ratio.
         """
-        if self.size in (None, (width, height)):
+        if self.size is None or tuple(self.size) == (width, height):
             return
-        scale = width / self.size[0]
-        raise InputError(
+        message = (
             f"the calibration is of views of {self.size[0]}x{self.size[1]}, these have "
-            f"{width}x{height} (width x height): give the calibration of these views; if they "
-            f"were only resized, that is focal {self.focal * scale:.6g}, baseline "
-            f"{self.baseline:.6g}, doffs {self.doffs * scale:.6g}"
+            f"{width}x{height} (width x height): give the calibration of these views"
         )
+        scale = width / self.size[0]
+        if abs(height - scale * self.size[1]) <= 1:
+            message += (
+                f"; if they were only resized, it is focal {self.focal * scale:.6g}, baseline "
+                f"{self.baseline:.6g}, doffs {self.doffs * scale:.6g}, and the principal point "
+                f"scales by {scale:.6g}, too"
+            )
+        raise InputError(message)
 
     def principal_point(self, width: int, height: int) -> tuple[float, float]:
         """Column and row of the left view's principal point: its middle, where not known."""

@@ -78,8 +78,8 @@ class StereoMatcher:
             engine = TorchRuntime(engine)
         if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
             raise InputError(
-                f"{engine.name} tells no confidence: leave it, a minimum of it and the refinement "
-                "out; the left-right check works"
+                f"{engine.name} tells no confidence: leave confidence, min confidence and refine "
+                "out; left right works"
             )
         self.runtime: Runtime = engine
         self.model = model or engine.name
@@ -270,7 +270,7 @@ class StereoMatcher:
         if not self.refine:
             return maps
         disparity, sure = maps
-        with use_threads(cast(ConfidentRuntime, self.runtime).threads):
+        with use_threads(getattr(self.runtime, "threads", None)):
             disparity = refine_disparity(disparity, sure, left)
         return torch.stack((disparity, sure)) if confidence else disparity[None]
 

@@ -81,7 +81,7 @@ def _channels_last(view: Tensor, name: str) -> NDArray[Any]:
 
 
 def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
-    """Pad above and on the right, as the authors' evaluation does.
+    """Pad above and on the right, where the authors' evaluation pads, too.
 
     What was columns without a partner at the left border stays that: there is nothing further
     left to match with, as in training.

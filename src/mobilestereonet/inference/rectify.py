@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -57,7 +58,7 @@ def rectify_pair(
             matrix, distortion, rotation, projection, (width, height), cv2.CV_32FC1
         )
         views.append(np.asarray(cv2.remap(view, *maps, interpolation=cv2.INTER_LINEAR)))
-    return views[0], views[1], calibration
+    return views[0], views[1], replace(calibration, size=(width, height))
 
 
 def _rectification(

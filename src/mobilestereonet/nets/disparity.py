@@ -25,6 +25,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 Estimator = Literal["mean", "mode"]
 
@@ -147,6 +148,7 @@ class _SoftArgmax(torch.autograd.Function):
         return disparity
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         (derivative,) = ctx.saved_tensors
         return derivative * grads[0].unsqueeze(1), None

@@ -57,11 +57,6 @@ class Runtime(Protocol):
 class ConfidentRuntime(Runtime, Protocol):
     """An engine that tells how sure it is as well."""
 
-    @property
-    def threads(self) -> int | None:
-        """Threads on a CPU; None leaves it to the engine."""
-        ...
-
     def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
         """Match the views.
 

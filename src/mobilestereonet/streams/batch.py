@@ -43,16 +43,31 @@ def match_pairs(
 
     Yields:
         What became of each pair, once its files are written. A pair that cannot be read or
-        matched does not stop the others.
+        matched does not stop the others, nor does one whose calibration is of another size.
 
     Raises:
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    for frame, result in ahead(matched(ahead(read_pairs(pairs)), matcher)):
+    frames: Iterable[StereoFrame] = ahead(read_pairs(pairs))
+    if files.needs_calibration:
+        frames = _of_their_calibration(frames)
+    for frame, result in ahead(matched(frames, matcher)):
         if result is not None:
             files.save(frame.name, result, frame.calibration)
         yield Outcome(frame.name, frame.problem)
+
+
+def _of_their_calibration(frames: Iterable[StereoFrame]) -> Iterator[StereoFrame]:
+    """The frames; a calibration of another size is their problem."""
+    for frame in frames:
+        try:
+            if frame.views is not None and frame.calibration is not None:
+                height, width = frame.views[0].shape[-2:]
+                frame.calibration.require_size(width, height)
+            yield frame
+        except InputError as error:
+            yield replace(frame, views=None, problem=str(error))
 
 
 def matched(

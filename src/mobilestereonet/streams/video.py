@@ -103,8 +103,8 @@ def match_video(
         report: Called for each frame that is done, also the broken ones: these have a ``problem``.
 
     Raises:
-        InputError: If no frame could be matched, or the stream and the arguments contradict each
-            other.
+        InputError: If no frame could be matched, the calibration is of another size, or the stream
+            and the arguments contradict each other.
         OSError: If a file cannot be written.
     """
     if resume and (frames is None or "disparity.png" not in frames.kinds or stream.live):
@@ -120,6 +120,9 @@ def match_video(
                 problem = frame.problem
                 tally.broken += 1
             else:
+                if calibration is not None:
+                    height, width = result.disparity.shape
+                    calibration.require_size(width, height)
                 if frames is not None and not (resume and frames.finished(frame.name)):
                     frames.save(frame.name, result, calibration)
                 tally.matched += 1
