@@ -33,13 +33,13 @@ def test_unsure_pixels_take_the_background():
 @pytest.mark.parametrize(
     ("first", "last", "background"),
     [
-        (40, 60, BACK),  # the step is 30 px
-        (20, 60, None),
+        (26, 60, BACK),  # the step is 30 px
+        (25, 60, None),
         (80, 84, FRONT),  # no step
-        (80, 100, None),
-        (0, 12, BACK),  # the left border, beyond which 10 px lie
-        (0, 24, None),
-        (100, 120, None),  # nothing hides the right border
+        (80, 85, None),
+        (0, 14, BACK),  # the left border, beyond which 10 px lie
+        (0, 15, None),
+        (115, 120, None),  # nothing hides the right border
     ],
 )
 def test_a_gap_wider_than_what_occlusion_hides_stays(first, last, background):
@@ -47,6 +47,12 @@ def test_a_gap_wider_than_what_occlusion_hides_stays(first, last, background):
     found[..., first:last], sure[..., first:last] = 42.0, 0.1
     middle = refine_disparity(found, sure, view)[..., (first + last) // 2]
     assert (middle == (42.0 if background is None else background)).all()
+
+
+def test_nothing_is_hidden_right_of_a_nearer_surface():
+    found, sure, view = (map_.flip(-1) for map_ in scene())
+    found[..., 60:80], sure[..., 60:80] = 42.0, 0.1
+    assert (refine_disparity(found, sure, view)[..., 70] == 42.0).all()
 
 
 def test_a_row_without_any_sure_pixel_is_left_alone():

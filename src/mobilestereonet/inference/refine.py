@@ -62,8 +62,9 @@ def refine_disparity(disparity: Tensor, confidence: Tensor, views: Tensor) -> Te
 def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
     """Give unsure pixels the farther of the two nearest sure ones of their row.
 
-    Where occlusion explains the gap between those: it is as wide as the step in disparity, and at
-    the left border as the disparity itself. What is unsure over more pixels is hard to match.
+    Where occlusion explains the gap between those: left of a nearer surface it is as wide as the
+    step in disparity, at the left border as the disparity itself, elsewhere it is none. What is
+    unsure over more pixels is hard to match.
     """
     width = disparity.shape[-1]
     column = torch.arange(width, device=disparity.device).expand_as(disparity)
@@ -73,7 +74,7 @@ def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
     left = disparity.gather(-1, before.clamp(min=0))
     right = disparity.gather(-1, after.clamp(max=width - 1))
     farther = torch.where(no_left, right, torch.where(no_right, left, torch.minimum(left, right)))
-    step = torch.where(no_right, 0, (right - left.masked_fill(no_left, 0)).abs())
+    step = torch.where(no_right, 0, right - left.masked_fill(no_left, 0)).clamp(min=0)
     occluded = ~sure & (after - before - 1 <= step + SLACK)
     return torch.where(occluded & ~(no_left & no_right), farther, disparity)
 
