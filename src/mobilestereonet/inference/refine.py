@@ -82,26 +82,41 @@ def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
 def _by_colour(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
     """Give pixels at edges the disparity that costs least among their 3 x 3 neighbours'."""
     height, width = disparity.shape[-2:]
-    around = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate")
-    nearest = F.max_pool2d(around, 3, stride=1, dilation=step).squeeze(1)
-    farthest = -F.max_pool2d(-around, 3, stride=1, dilation=step).squeeze(1)
-    image, row, column = torch.nonzero(nearest - farthest > EDGE, as_tuple=True)
-    offsets = [(y, x) for y in (-step, 0, step) for x in (-step, 0, step)]
-    places = [
-        (image, (row + y).clamp(0, height - 1), (column + x).clamp(0, width - 1))
-        for y, x in offsets
-    ]
-    colours = views.movedim(1, -1)
-    own = colours[image, row, column]
-    candidates = torch.stack([disparity[place] for place in places])
-    unlike = torch.stack([(colours[place] - own).square().sum(-1) for place in places])
-    votes = torch.exp(unlike / (-2 * COLOUR**2)) * torch.stack([weight[p] for p in places])
-    votes[len(offsets) // 2] *= OWN_VOTE
-    costs = torch.stack(
-        [(votes * (candidates - one).abs().clamp(max=OUTLIER)).sum(0) for one in candidates]
-    )
-    best = candidates.gather(0, costs.argmin(0, keepdim=True))[0]
-    before = disparity[image, row, column]
-    refined = disparity.clone()
-    refined[image, row, column] = torch.where((best - before).abs() > SAME, best, before)
-    return refined
+    maps = torch.cat((views, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1)
+    pixels = maps.movedim(1, -1).reshape(-1, maps.shape[1])
+    refined = disparity.flatten().clone()
+    edges = torch.nonzero(_relief(disparity, step) > EDGE)
+    for image, row, column in (some.unbind(1) for some in edges.split(_CACHED)):
+        rows = [image * height + (row + y).clamp(0, height - 1) for y in (-step, 0, step)]
+        columns = [(column + x).clamp(0, width - 1) for x in (-step, 0, step)]
+        places = [y * width + x for y in rows for x in columns]
+        around = torch.stack([pixels[place] for place in places])  # (9, pixels, 5)
+        colours, candidates = around[..., :3], around[..., 3].contiguous()
+        own, before = colours[4], candidates[4]
+        unlike = (colours - own).square().sum(-1)
+        votes = torch.exp(unlike / (-2 * COLOUR**2)) * around[..., 4]
+        votes[4] *= OWN_VOTE
+        best, least = before, torch.full_like(before, torch.inf)
+        for one in candidates:
+            cost = (candidates - one).abs_().clamp_(max=OUTLIER).mul_(votes).sum(0)
+            best = torch.where(cost < least, one, best)
+            least = torch.minimum(cost, least)
+        refined[places[4]] = torch.where((best - before).abs() > SAME, best, before)
+    return refined.view_as(disparity)
+
+
+_CACHED = 1 << 15
+"""Pixels whose neighbours stay in the processor's cache."""
+
+
+def _relief(disparity: Tensor, step: int) -> Tensor:
+    """By how much each pixel's 3 x 3 neighbours differ."""
+    most = least = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate").squeeze(1)
+    for dim in (-2, -1):
+        length = disparity.shape[dim]
+        high, low = (
+            [m.narrow(dim, at, length) for at in (0, step, 2 * step)] for m in (most, least)
+        )
+        most = torch.maximum(torch.maximum(high[0], high[1]), high[2])
+        least = torch.minimum(torch.minimum(low[0], low[1]), low[2])
+    return most - least
