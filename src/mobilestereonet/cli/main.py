@@ -8,6 +8,7 @@ import warnings
 import typer
 
 from mobilestereonet.cli.ablate import ablate
+from mobilestereonet.cli.average import average
 from mobilestereonet.cli.batch import batch
 from mobilestereonet.cli.bench import bench
 from mobilestereonet.cli.cost import cost
@@ -45,6 +46,7 @@ for command in (
     evaluate,
     submit,
     train,
+    average,
     ablate,
     plot_run,
     export,

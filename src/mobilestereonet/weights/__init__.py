@@ -1,6 +1,7 @@
 """Weights: the embedded ones and their cards, weights files, the authors' checkpoints."""
 
 from mobilestereonet.weights.authors import load_authors_checkpoint
+from mobilestereonet.weights.average import average_weights
 from mobilestereonet.weights.files import (
     card,
     embedded_models,
@@ -10,6 +11,7 @@ from mobilestereonet.weights.files import (
 )
 
 __all__ = [
+    "average_weights",
     "card",
     "embedded_models",
     "load_authors_checkpoint",

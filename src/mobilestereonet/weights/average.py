@@ -1,0 +1,43 @@
+"""The mean of several weights of one network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import StereoNet
+from mobilestereonet.weights.files import load_weights
+
+
+def average_weights(paths: Sequence[str | Path]) -> StereoNet:
+    """A network with the mean of the weights of several files.
+
+    Where one training went on from the other, the mean is often better than each of them
+    (Wortsman et al., "Model soups", ICML 2022). Batch norms' statistics are averaged, too.
+
+    Args:
+        paths: Two weights files or more, ours or the authors', of one network.
+
+    Returns:
+        The network, in eval mode.
+
+    Raises:
+        FileNotFoundError: If a file does not exist.
+        InputError: If there are fewer than two, one is damaged, or they are of different networks.
+    """
+    if len(paths) < 2:
+        raise InputError(f"a mean takes two weights files or more, got {len(paths)}")
+    nets = [load_weights(path) for path in paths]
+    for path, net in zip(paths, nets, strict=True):
+        if net.config != nets[0].config:
+            raise InputError(
+                f"{path} and {paths[0]} hold different networks: {net.config} and {nets[0].config}"
+            )
+    states = [net.state_dict() for net in nets]
+    for name, target in nets[0].state_dict().items():
+        if target.is_floating_point():
+            target.copy_(torch.stack([state[name].double() for state in states]).mean(dim=0))
+    return nets[0]
