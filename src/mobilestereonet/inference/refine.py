@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-SURE = 0.3
+SURE = 0.35
 """Confidence from which a pixel keeps its disparity, and is a neighbour for others."""
 
 SLACK = 4
