@@ -53,6 +53,12 @@ def test_numbers_instead_of_a_file(msnet, folder):
     assert np.median(np.load(folder / "depth.npy")) == pytest.approx(2, abs=0.01)
 
 
+def test_a_baseline_in_millimetres_is_asked_about(msnet, folder):
+    numbers = ("--focal", 500, "--baseline", 100, "--doffs", 5)
+    code, _, err = predict(msnet, folder, "--depth", folder / "depth.npy", *numbers)
+    assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres?\n")
+
+
 def test_left_right(msnet, folder):
     code, _, _ = predict(msnet, folder, "--left-right")
     assert code == 0
@@ -81,7 +87,9 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--calib", "none.txt"), "none.txt: no such file"),
         (("--calib", "calib.txt"), "a calibration is for --depth FILE or --points FILE"),
         (("--depth", "d.npy", "--calib", "half.txt"), "of 120x60, these have 240x120"),
-        (("--depth", "d.npy", "--calib", "half.txt"), "focal 1000, baseline 0.1, doffs 10"),
+        (("--depth", "d.npy", "--calib", "half.txt"), "by 2 (focal 1000, doffs 10)"),
+        (("--min-confidence", 1), "are for --points FILE: add it, or leave them out"),
+        (("--max-depth", 9), "are for --points FILE"),
         (("--calib", "left.png"), "left.png: unknown calibration format"),
         (("--depth", "d.exr"), "d.exr: depth is written as"),
         (("--points", "p.obj"), "p.obj: points are written as"),

@@ -42,12 +42,17 @@ def test_depth_of_another_size_is_refused(result):
     result.depth(replace(calibration, size=(3, 2)))
 
 
+def test_a_least_confidence_needs_a_confidence(result):
+    with pytest.raises(InputError, match=r"min_confidence 0.5 needs .* confidence=True"):
+        result.points(Calibration(focal=1000, baseline=0.5), min_confidence=0.5)
+
+
 def test_printing_a_result_tells_no_pixels(result):
-    facts = {"model": "msnet2d"}
-    text = "StereoResult(3x2, disparity 0.0 to 300.0 px, {'model': 'msnet2d'})"
+    facts = {"model": "msnet2d", "runtime": "torch", "precision": "bf16", "seconds": 1 / 3}
+    text = "StereoResult(3x2, disparity 0.0 to 300.0 px, msnet2d, torch, bf16)"
     assert repr(replace(result, facts=facts)) == text
     unknown = replace(result, valid=np.zeros((2, 3), dtype=bool))
-    assert repr(unknown) == "StereoResult(3x2, no match, {})"
+    assert repr(unknown) == "StereoResult(3x2, no match)"
 
 
 def test_depth_is_always_finite():

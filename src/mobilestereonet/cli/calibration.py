@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -32,6 +33,10 @@ Doffs: TypeAlias = Annotated[
 ]
 
 
+_WIDE = 10.0
+"""Baseline in metres above which it is asked about."""
+
+
 def calibration_from(
     calib: Path | None,
     calib_left: Path | None,
@@ -55,6 +60,8 @@ def calibration_from(
             raise InputError(f"{calib} has focal length, baseline and doffs: leave the options out")
         return read_calibration(calib, left=calib_left, unit=unit)
     if focal is not None and baseline is not None:
+        if baseline > _WIDE:
+            print(f"msnet: a baseline of {baseline:g} m: is it in metres?", file=sys.stderr)
         return Calibration(focal=focal, baseline=baseline, doffs=doffs)
     if any(numbers) or doffs or calib_left is not None:
         raise InputError("a calibration needs --calib FILE, or both --focal and --baseline")

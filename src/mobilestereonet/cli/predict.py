@@ -78,6 +78,11 @@ def predict(
         raise InputError("depth and points need --calib FILE, or --focal and --baseline")
     if calibration is not None and not (depth_files or point_files):
         raise InputError("a calibration is for --depth FILE or --points FILE: add one of them")
+    if not point_files and (min_confidence > 0 or max_depth < float("inf") or keep_edges):
+        raise InputError(
+            "--min-confidence, --max-depth and --keep-edges are for --points FILE: add it, or "
+            "leave them out"
+        )
     pair = load_pair(left, right)
     if calibration is not None:
         height, width = pair[0].shape[-2:]

@@ -66,9 +66,9 @@ class Calibration:
         scale = width / self.size[0]
         if abs(height - scale * self.size[1]) <= 1:
             message += (
-                f"; if they were only resized, it is focal {self.focal * scale:.6g}, baseline "
-                f"{self.baseline:.6g}, doffs {self.doffs * scale:.6g}, and the principal point "
-                f"scales by {scale:.6g}, too"
+                f"; if they were only resized, multiply its focal length, principal points and "
+                f"doffs by {scale:.6g} (focal {self.focal * scale:.6g}, doffs "
+                f"{self.doffs * scale:.6g})"
             )
         raise InputError(message)
 

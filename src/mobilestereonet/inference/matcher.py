@@ -78,8 +78,8 @@ class StereoMatcher:
             engine = TorchRuntime(engine)
         if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
             raise InputError(
-                f"{engine.name} tells no confidence: leave confidence, min confidence and refine "
-                "out; left right works"
+                f"{engine.name} tells no confidence: leave out confidence, min-confidence and "
+                "refine; left-right works"
             )
         self.runtime: Runtime = engine
         self.model = model or engine.name

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mobilestereonet.data.disparity_files import KITTI_SCALE, FloatMap, Mask, write_disparity_png
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,
@@ -56,7 +57,12 @@ class StereoResult:
         height, width = self.disparity.shape
         known = self.disparity[self.valid]
         span = f"disparity {known.min():.1f} to {known.max():.1f} px" if known.size else "no match"
-        return f"StereoResult({width}x{height}, {span}, {self.facts})"
+        facts = [
+            str(self.facts[name])
+            for name in ("model", "runtime", "precision")
+            if name in self.facts
+        ]
+        return f"StereoResult({', '.join([f'{width}x{height}', span, *facts])})"
 
     def depth(self, calibration: Calibration) -> FloatMap:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
@@ -88,7 +94,7 @@ class StereoResult:
         Args:
             calibration: Geometry of the pair, for the left view's size.
             max_depth: Farther points are left out, in metres.
-            min_confidence: Less confident ones are left out, if the confidence is known.
+            min_confidence: Less confident ones are left out.
             edges: True keeps the pixels at depth edges, which mix two surfaces (see
                 `depth_edges`).
 
@@ -96,8 +102,13 @@ class StereoResult:
             The points, row by row.
 
         Raises:
-            InputError: If the calibration is known to be of another size.
+            InputError: If the calibration is known to be of another size, or ``min_confidence`` is
+                asked for where the confidence is not known.
         """
+        if min_confidence > 0 and self.confidence is None:
+            raise InputError(
+                f"min_confidence {min_confidence:g} needs a matcher with confidence=True"
+            )
         kept = self.valid if edges else self.valid & ~depth_edges(self.disparity, self.valid)
         if self.confidence is not None:
             kept = kept & (self.confidence >= min_confidence)

@@ -157,7 +157,7 @@ def _points(result: StereoResult, calibration: Calibration, geometry: Geometry) 
     return result.points(
         calibration,
         max_depth=geometry.max_depth or FAR * median,
-        min_confidence=geometry.min_confidence,
+        min_confidence=0.0 if result.confidence is None else geometry.min_confidence,
     )
 
 
