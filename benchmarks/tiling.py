@@ -1,6 +1,6 @@
 """What tiles change, and what memory they need.
 
-    python benchmarks/tiling.py [--root DIR] [--model msnet2d] [--tile 352 640] [--large]
+    python benchmarks/tiling.py [--root DIR] [--model msnet2d] [--tile 448 768] [--large]
 
 Three measurements: how far a border reaches into the disparities (which the margins of the tiles
 follow from), how far tiled and whole results differ on each pair, and with ``--large`` the peak
@@ -37,7 +37,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
     parser.add_argument("--model", default="msnet2d")
-    parser.add_argument("--tile", type=int, nargs=2, default=(352, 640), metavar=("H", "W"))
+    parser.add_argument("--tile", type=int, nargs=2, default=(448, 768), metavar=("H", "W"))
     parser.add_argument("--large", action="store_true", help="measure 3000 x 4000 px")
     arguments = parser.parse_args()
 

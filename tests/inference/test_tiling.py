@@ -13,8 +13,9 @@ RANGE = 40
 class Field:
     """An engine that looks exactly as far as the margins allow, on a grid of 16 px.
 
-    Each block of 16 x 16 px gets the mean of the left view over the blocks up to 96 px around,
-    and the right view's block that lies 48 px, the range on the grid, beyond that to the left.
+    Each block of 16 x 16 px gets the mean of the left view over the blocks up to `CONTEXT` px
+    around, and the right view's block that lies 48 px, the range on the grid, beyond that to the
+    left.
     """
 
     name = "field"
@@ -62,11 +63,11 @@ def random_views(height, width, batch=1):
 @pytest.mark.parametrize(
     ("size", "tile"),
     [
-        ((600, 900), (320, 400)),
-        ((601, 903), (320, 400)),  # padded above and on the right
-        ((607, 350), (330, 410)),  # one column of tiles; a tile off the grid is rounded down
-        ((100, 903), (320, 400)),  # one row of tiles
-        ((100, 120), (320, 400)),  # a single tile
+        ((900, 1200), (448, 528)),
+        ((901, 1203), (448, 528)),  # padded above and on the right
+        ((907, 450), (458, 538)),  # one column of tiles; a tile off the grid is rounded down
+        ((100, 1203), (448, 528)),  # one row of tiles
+        ((100, 120), (448, 528)),  # a single tile
     ],
 )
 def test_tiles_give_what_the_whole_gives_if_the_engine_sees_no_farther(size, tile):
@@ -83,17 +84,17 @@ def test_tiles_give_what_the_whole_gives_if_the_engine_sees_no_farther(size, til
 
 
 def test_a_smaller_margin_would_be_seen():
-    left, right = random_views(600, 900)
+    left, right = random_views(900, 1200)
     engine = Field()
     expected = StereoMatcher(engine, tile=None).disparity(left, right)
     engine.max_disparity = 1  # the truth is 48
-    result = StereoMatcher(engine, tile=(320, 400)).disparity(left, right)
+    result = StereoMatcher(engine, tile=(448, 528)).disparity(left, right)
     assert (result - expected).abs().max() > 1e-3
 
 
 def test_a_disagreement_fades_over_the_blend():
-    left, right = random_views(600, 900)
-    result = StereoMatcher(Constants(), tile=(320, 400)).disparity(left, right)[0]
+    left, right = random_views(900, 1200)
+    result = StereoMatcher(Constants(), tile=(448, 528)).disparity(left, right)[0]
     assert result.min() == 0
     assert result.max() == 1
     # A smooth step over n px is nowhere steeper than 1.5 / n; rows and columns of tiles meet.
@@ -103,12 +104,12 @@ def test_a_disagreement_fades_over_the_blend():
 
 def test_large_pairs_are_tiled_by_default(monkeypatch):
     monkeypatch.setattr(matcher_module, "WHOLE_PIXELS", 600 * 640)
-    monkeypatch.setattr(matcher_module, "TILE", (320, 480))
+    monkeypatch.setattr(matcher_module, "TILE", (448, 608))
     engine = Field()
     StereoMatcher(engine).disparity(*random_views(600, 640))
     assert engine.sizes == [(608, 640)]
     result = StereoMatcher(engine)(*np.zeros((2, 601, 640), np.uint8))
-    assert engine.sizes[1:] == [(320, 480)] * len(engine.sizes[1:])
+    assert engine.sizes[1:] == [(448, 608)] * len(engine.sizes[1:])
     assert len(engine.sizes) > 3
     assert result.disparity.shape == (601, 640)
     engine.sizes.clear()
@@ -118,10 +119,10 @@ def test_large_pairs_are_tiled_by_default(monkeypatch):
 
 
 def test_refused():
-    views = random_views(600, 900)
-    with pytest.raises(InputError, match="height 256 are too small: the margins need 256 px"):
-        StereoMatcher(Field(), tile=(256, 480)).disparity(*views)
-    with pytest.raises(InputError, match="width 304 are too small: the margins need 304 px"):
-        StereoMatcher(Field(), tile=(320, 310)).disparity(*views)
-    with pytest.raises(InputError, match=r"tiles of \(320, 400\) and padding to \(640, 960\)"):
-        StereoMatcher(Field(), tile=(320, 400), padding=(640, 960))
+    views = random_views(900, 1200)
+    with pytest.raises(InputError, match="height 384 are too small: the margins need 384 px"):
+        StereoMatcher(Field(), tile=(384, 608)).disparity(*views)
+    with pytest.raises(InputError, match="width 432 are too small: the margins need 432 px"):
+        StereoMatcher(Field(), tile=(448, 438)).disparity(*views)
+    with pytest.raises(InputError, match=r"tiles of \(448, 528\) and padding to \(640, 960\)"):
+        StereoMatcher(Field(), tile=(448, 528), padding=(640, 960))

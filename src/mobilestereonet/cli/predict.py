@@ -53,7 +53,7 @@ def predict(
     ] = False,
     tile: Annotated[
         tuple[int, int] | None,
-        typer.Option(help="Height and width of tiles. Default: 960 1536, above Full HD."),
+        typer.Option(help="Height and width of tiles. Default: 1088 1920, above Full HD."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the facts as JSON.")] = False,
 ) -> None:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError
 
-CONTEXT = 96
+CONTEXT = 160
 """Margin of a tile, in px, that is matched but not used.
 
 ``benchmarks/tiling.py`` measures what a border changes, by the distance from it. With the embedded
@@ -31,8 +31,8 @@ BLEND = 64
 WHOLE_PIXELS = 1920 * 1088
 """Pairs of up to so many pixels, Full HD, are matched in one piece unless told otherwise."""
 
-TILE = (960, 1536)
-"""Height and width of a larger pair's tiles, in px: they need about 2.5 GB."""
+TILE = (1088, 1920)
+"""Height and width of a larger pair's tiles, in px: they need what Full HD needs in one piece."""
 
 
 def match_in_tiles(
