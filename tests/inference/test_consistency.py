@@ -65,8 +65,8 @@ class Sure(Bright):
 
 
 def test_matcher_gives_the_confidence_whole_and_in_tiles():
-    left, right = np.random.default_rng(0).random((2, 300, 500), dtype=np.float32)
-    for tile in (None, (272, 288)):
+    left, right = np.random.default_rng(0).random((2, 460, 620), dtype=np.float32)
+    for tile in (None, (400, 416)):
         result = StereoMatcher(Sure(), confidence=True, tile=tile)(left, right)
         np.testing.assert_allclose(result.confidence, right, atol=1e-6)
         np.testing.assert_allclose(result.disparity, (10 * left).round(), atol=1e-5)
