@@ -17,7 +17,6 @@ import statistics
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -108,8 +107,7 @@ def main() -> None:
     records = []
     found = matchers(arguments.weights, arguments.precision)
     if arguments.picture:
-        shown = [motorcycle(), *islice(scenes(3), 3)]
-        write_png(arguments.picture, picture(shown, found))
+        write_png(arguments.picture, picture([motorcycle(), *scenes(3)], found))
     default = found[DEFAULT_MODEL]
     found[f"{DEFAULT_MODEL} --no-refine"] = StereoMatcher(default.runtime, model=DEFAULT_MODEL)
     for model, matcher in found.items():

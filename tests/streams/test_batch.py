@@ -52,6 +52,9 @@ def test_every_kind_of_map_is_written_and_read_back(pairs, matcher, tmp_path):
     first, second = match_pairs([other, replace(deep, name="again")], matcher, files)
     assert "the calibration is of views of 8x8" in first.problem
     assert not second.problem
+    left, right = (cv2.imread(str(view)) for view in (deep.left, deep.right))
+    with pytest.raises(InputError, match="the calibration is of views of 8x8"):
+        files.save("view_0", matcher(left, right), other.calibration)
     assert not list(files.folder.glob("view_0*"))
     with pytest.raises(InputError, match="depth needs a calibration, and view_0 has none"):
         list(match_pairs(pairs[:1], matcher, files))

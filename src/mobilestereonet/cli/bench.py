@@ -67,9 +67,11 @@ def bench(
     taken, kept = "torch", ""
     if device == "cpu":
         file = remember_fastest(net.config, fastest(times))
-        kept = f"kept in {file}, with those of other networks: delete it and auto is torch again"
-        if file is None:
-            kept = "it could not be kept: the user's cache folder cannot be written to"
+        kept = (
+            "it could not be kept: the user's cache folder cannot be written to"
+            if file is None
+            else f"kept in {file}, with those of other networks: delete it and auto is torch again"
+        )
         precisions = dict.fromkeys(row.precision for row in times)
         taken = ", ".join(
             f"{choose_engine('auto', net.config, precision, device)[0]} in {precision}"

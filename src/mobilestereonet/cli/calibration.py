@@ -33,10 +33,6 @@ Doffs: TypeAlias = Annotated[
 ]
 
 
-_WIDE = 10.0
-"""Baseline in metres above which it is asked about."""
-
-
 def calibration_from(
     calib: Path | None,
     calib_left: Path | None,
@@ -52,6 +48,7 @@ def calibration_from(
         InputError: If a file or a value is bad, or the options contradict each other.
     """
     from mobilestereonet.data import Calibration, read_calibration
+    from mobilestereonet.data.camera_yaml import WIDEST
     from mobilestereonet.errors import InputError
 
     numbers = [value is not None for value in (focal, baseline)]
@@ -60,7 +57,7 @@ def calibration_from(
             raise InputError(f"{calib} has focal length, baseline and doffs: leave the options out")
         return read_calibration(calib, left=calib_left, unit=unit)
     if focal is not None and baseline is not None:
-        if baseline > _WIDE:
+        if baseline > WIDEST:
             print(f"msnet: a baseline of {baseline:g} m: is it in metres?", file=sys.stderr)
         return Calibration(focal=focal, baseline=baseline, doffs=doffs)
     if any(numbers) or doffs or calib_left is not None:

@@ -19,8 +19,8 @@ from mobilestereonet.errors import InputError
 Matrix = NDArray[np.float64]
 
 _METRES = {"m": 1.0, "mm": 0.001}
-_WIDEST = 10.0
-"""Baseline in metres above which a file without unit is asked about."""
+WIDEST = 10.0
+"""Baseline in metres above which its unit is asked about."""
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -194,7 +194,7 @@ def from_projections(left: Matrix, right: Matrix, unit: str | None = None) -> Ca
 def _baseline(value: float, unit: str | None) -> float:
     if unit not in (None, *_METRES):
         raise InputError(f"a unit is one of {', '.join(_METRES)}, got {unit!r}")
-    if unit is None and value > _WIDEST:
+    if unit is None and value > WIDEST:
         raise InputError(
             f"a baseline of {value:g} m is implausible and the file names no unit: say mm or m"
         )

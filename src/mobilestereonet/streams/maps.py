@@ -93,8 +93,11 @@ class MapFiles:
             calibration: Its geometry; depth needs it.
 
         Raises:
-            InputError: If it is missing.
+            InputError: If it is missing, or known to be of another size.
         """
+        if calibration is not None and self.needs_calibration:
+            height, width = result.disparity.shape
+            calibration.require_size(width, height)  # before the first of several files
         for kind in self.kinds:
             path = self.path(name, kind)
             if kind in _WRITERS:

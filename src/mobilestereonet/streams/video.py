@@ -120,9 +120,6 @@ def match_video(
                 problem = frame.problem
                 tally.broken += 1
             else:
-                if calibration is not None:
-                    height, width = result.disparity.shape
-                    calibration.require_size(width, height)
                 if frames is not None and not (resume and frames.finished(frame.name)):
                     frames.save(frame.name, result, calibration)
                 tally.matched += 1

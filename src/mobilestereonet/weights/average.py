@@ -37,7 +37,7 @@ def average_weights(paths: Sequence[str | Path]) -> StereoNet:
                 f"{path} and {paths[0]} hold different networks: {net.config} and {nets[0].config}"
             )
     states = [net.state_dict() for net in nets]
-    for name, target in nets[0].state_dict().items():
+    for name, target in states[0].items():
         if target.is_floating_point():
             target.copy_(torch.stack([state[name].double() for state in states]).mean(dim=0))
     return nets[0]
