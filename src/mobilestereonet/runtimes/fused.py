@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -10,7 +12,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.features import ResidualBlock
-from mobilestereonet.nets.hourglass import Hourglass
+from mobilestereonet.nets.hourglass import Head, Hourglass
 
 _ONEDNN: dict[str, tuple[str, list[float]]] = {
     "none": ("none", []),
@@ -19,8 +21,11 @@ _ONEDNN: dict[str, tuple[str, list[float]]] = {
 }
 """oneDNN's names and limits of the activations that it can append to a convolution."""
 
-SLICE = 1 << 22
-"""Elements of a v2 block's hidden tensor that exist at a time."""
+SLICE = 1 << 24
+"""Bytes of a v2 block's hidden tensor that exist at a time: what a processor's cache can hold."""
+
+MIN_ROWS = 8
+"""Rows in a slice at least: two more are computed for each of them."""
 
 
 def activation_name(layer: nn.Module) -> str:
@@ -42,18 +47,18 @@ class FusedConv(nn.Module):
         self.conv = conv
         self.activation = activation
 
-    def forward(self, x: Tensor, other: Tensor | None = None, *, pad_rows: bool = True) -> Tensor:
+    def forward(self, x: Tensor, other: Tensor | None = None, *, pad_first: bool = True) -> Tensor:
         """Convolve.
 
         Args:
             x: (B, C, H, W) or (B, C, D, H, W).
             other: Tensor of the result's shape that is added to the convolution.
-            pad_rows: False leaves out the padding above and below.
+            pad_first: False leaves out the padding along the first of the spatial axes.
         """
         conv = self.conv
         padding = list(cast(tuple[int, ...], conv.padding))
-        if not pad_rows:
-            padding[-2] = 0
+        if not pad_first:
+            padding[0] = 0
         if not _runs_onednn(x):
             convolve = F.conv2d if x.ndim == 4 else F.conv3d
             options = (conv.stride, padding, conv.dilation, conv.groups)
@@ -117,7 +122,9 @@ class FusedHourglass(nn.Module):
 class SlicedV2Block(nn.Module):
     """`V2Block` of fused convolutions, some rows at a time where its hidden tensor is large.
 
-    At 3 times the block's channels, that tensor would set the peak of the memory in use.
+    At 3 times the block's channels, that tensor would set the peak of the memory in use; and the
+    depthwise convolution runs several times faster on rows that are still in the cache. Rows are
+    along the first of the spatial axes, so that with channels last they are one block of memory.
     """
 
     def __init__(self, block: V2Block) -> None:
@@ -130,36 +137,74 @@ class SlicedV2Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, inputs, ...) -> (B, outputs, ...), spatial sizes divided by the stride."""
-        stride = self.depthwise.conv.stride[-1]
-        height = (x.shape[-2] - 1) // stride + 1
-        hidden_row = x[:, 0, ..., 0, :].numel() * self.depthwise.conv.in_channels
-        rows = max(SLICE // hidden_row // stride, 1)
+        stride = self.depthwise.conv.stride[0]
+        height = (x.shape[2] - 1) // stride + 1
+        hidden_row = x[:, 0, 0].numel() * self.depthwise.conv.in_channels * x.element_size()
+        rows = max(SLICE // hidden_row // stride, MIN_ROWS)
         if rows >= height:
             return self._project(self.depthwise(self.expand(x)), x)
         result: Tensor | None = None
         for top in range(0, height, rows):
             bottom = min(top + rows, height)
-            y = self._project(self._hidden(x, top, bottom), x[..., top:bottom, :])
+            y = self._project(self._hidden(x, top, bottom), x[:, :, top:bottom])
             if result is None:
                 result = _empty_like(y, height)
-            result[..., top:bottom, :] = y
+            result[:, :, top:bottom] = y
         return cast(Tensor, result)
 
     def _hidden(self, x: Tensor, top: int, bottom: int) -> Tensor:
         """Rows ``top`` to ``bottom`` of the depthwise convolution's result."""
-        stride, reach = self.depthwise.conv.stride[-1], self.depthwise.conv.dilation[-1]
+        stride, reach = self.depthwise.conv.stride[0], self.depthwise.conv.dilation[0]
         first, last = stride * top - reach, stride * (bottom - 1) + reach + 1
-        above, below = max(-first, 0), max(last - x.shape[-2], 0)
-        y = self.expand(x[..., first + above : last - below, :])
-        if above or below:
-            y = F.pad(y, (0, 0, above, below))
-        return cast(Tensor, self.depthwise(y, pad_rows=False))
+        return cast(Tensor, self.depthwise(_rows(x, first, last, self.expand), pad_first=False))
 
     def _project(self, hidden: Tensor, x: Tensor) -> Tensor:
         return cast(Tensor, self.project(hidden, x if self.skip else None))
 
 
+class SlicedHead(nn.Module):
+    """3D `Head`, some rows at a time: the features before its last convolution don't exist.
+
+    A convolution to one channel would leave most of a vector unused: here one matrix product gives
+    the shares of all neighbours, which are then added up. In float32.
+    """
+
+    def __init__(self, head: Head) -> None:
+        super().__init__()
+        conv, activation = cast(tuple[nn.Conv3d, nn.Module], head.conv)
+        self.conv = FusedConv(conv, activation_name(activation))
+        self.score = head.score
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, width, H, ...) -> scores (B, H, ...), H being the first of the spatial axes."""
+        batch, channels, height, *size = x.shape
+        rows = max(SLICE // (x[:, :, 0].numel() * x.element_size()), MIN_ROWS)
+        dtype = torch.promote_types(x.dtype, torch.float32)
+        shares = self.score.weight[0].flatten(1).t().to(dtype)  # (27, width)
+        sums = x.new_zeros(batch, height + 2, *(length + 2 for length in size), dtype=dtype)
+        for top in range(0, height, rows):
+            bottom = min(top + rows, height)
+            y = self.conv(_rows(x, top - 1, bottom + 1), pad_first=False)
+            y = shares @ y.movedim(1, -1).reshape(-1, channels).to(dtype).t()
+            y = y.view(3, 3, 3, batch, -1, *size)
+            for i, j, k in itertools.product(range(3), repeat=3):
+                part = sums[:, top + 2 - i : bottom + 2 - i, 2 - j :, 2 - k :]
+                part[..., : size[0], : size[1]] += y[i, j, k]
+        return sums[:, 1:-1, 1:-1, 1:-1].to(x.dtype)
+
+
+def _rows(
+    x: Tensor, first: int, last: int, layer: Callable[[Tensor], Tensor] | None = None
+) -> Tensor:
+    """Rows ``first`` to ``last`` of a layer's result, or of ``x``; zeros where ``x`` ends."""
+    above, below = max(-first, 0), max(last - x.shape[2], 0)
+    y = x[:, :, first + above : last - below]
+    if layer is not None:
+        y = layer(y)
+    return F.pad(y, (0, 0) * (x.ndim - 3) + (above, below)) if above or below else y
+
+
 def _empty_like(part: Tensor, height: int) -> Tensor:
     """Uninitialised, ``height`` rows instead of the part's, channels last."""
-    batch, channels, *depth, _, width = part.shape
-    return part.new_empty(batch, *depth, height, width, channels).movedim(-1, 1)
+    batch, channels, _, *size = part.shape
+    return part.new_empty(batch, height, *size, channels).movedim(-1, 1)

@@ -23,11 +23,12 @@ from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.cost_volumes import LearnedVolume
 from mobilestereonet.nets.features import ResidualBlock
-from mobilestereonet.nets.hourglass import Hourglass
+from mobilestereonet.nets.hourglass import Head, Hourglass
 from mobilestereonet.runtimes.fused import (
     FusedConv,
     FusedHourglass,
     FusedResidualBlock,
+    SlicedHead,
     SlicedV2Block,
     activation_name,
 )
@@ -93,19 +94,45 @@ def drop_training_heads(net: StereoNet) -> None:
 def volume_by_planes(net: StereoNet) -> None:
     """The cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
     volume = net.volume
-    net.add_module(
-        "volume",
-        Collected(
-            PlanewiseLearnedVolume(volume)
-            if isinstance(volume, LearnedVolume)
-            else PlanewiseCorrelation(volume)
-        ),
+    planewise = (
+        PlanewiseLearnedVolume(volume)
+        if isinstance(volume, LearnedVolume)
+        else PlanewiseCorrelation(volume)
     )
+    net.add_module("volume", Collected(planewise, columns_first=net.config.dims == 3))
 
 
-def slice_blocks(net: StereoNet) -> None:
-    """Each v2 block some rows at a time. After `fold_norms`, before `fuse_convolutions`."""
+def columns_first(net: StereoNet) -> None:
+    """A 3D encoder takes the volume as columns, disparities and rows, as which it lies in memory.
+
+    The plane of a column is the smallest of the three, so that some of them fit into a cache.
+    After `volume_by_planes` and `drop_training_heads`.
+    """
+    if net.config.dims == 2:
+        return
+    for module in net.modules():
+        if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
+            module.weight = nn.Parameter(module.weight.movedim(-1, 2), requires_grad=False)
+    net.add_module("pre_hourglass", nn.Sequential(MoveAxis(-1, 2), net.pre_hourglass))
+    net.heads = nn.ModuleList(nn.Sequential(head, MoveAxis(1, -1)) for head in net.heads)
+
+
+class MoveAxis(nn.Module):
+    """`torch.movedim` as a layer."""
+
+    def __init__(self, source: int, destination: int) -> None:
+        super().__init__()
+        self.source, self.destination = source, destination
+
+    def forward(self, x: Tensor) -> Tensor:
+        """A view of ``x``."""
+        return x.movedim(self.source, self.destination)
+
+
+def slice_blocks(net: nn.Module) -> None:
+    """v2 blocks and 3D heads some rows at a time. After `fold_norms`."""
     _replace(net, V2Block, SlicedV2Block)
+    _replace(net, Head, lambda head: SlicedHead(head) if head.dims == 3 else head)
 
 
 def fuse_convolutions(net: StereoNet) -> None:
@@ -152,6 +179,7 @@ def optimise(net: StereoNet) -> StereoNet:
     images_one_by_one(net)
     drop_training_heads(net)
     volume_by_planes(net)
+    columns_first(net)
     slice_blocks(net)
     fuse_convolutions(net)
     weights_channels_last(net)

@@ -116,18 +116,31 @@ class PlanewiseCorrelation(nn.Module):
 
 
 class Collected(nn.Module):
-    """All planes of a planewise cost volume, channels last."""
+    """All planes of a planewise cost volume; in memory they are ordered as the encoder likes it.
 
-    def __init__(self, volume: PlanewiseLearnedVolume | PlanewiseCorrelation) -> None:
+    With ``columns_first`` that is by columns, disparities, rows and channels, else by disparities,
+    rows, columns and channels.
+    """
+
+    def __init__(
+        self, volume: PlanewiseLearnedVolume | PlanewiseCorrelation, *, columns_first: bool
+    ) -> None:
         super().__init__()
         self.volume = volume
+        self.columns_first = columns_first
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, C, H, W) twice -> (B, groups, D, H, W)."""
         result: Tensor | None = None
         for index, plane in enumerate(self.volume(left, right)):
             if result is None:
-                batch, groups, *size = plane.shape
-                result = plane.new_empty(batch, self.volume.planes, *size, groups).movedim(-1, 1)
+                result = self._empty(plane)
             result[:, :, index] = plane
         return cast(Tensor, result)
+
+    def _empty(self, plane: Tensor) -> Tensor:
+        batch, groups, height, width = plane.shape
+        planes = self.volume.planes
+        if self.columns_first:
+            return plane.new_empty(batch, width, planes, height, groups).permute(0, 4, 2, 3, 1)
+        return plane.new_empty(batch, planes, height, width, groups).movedim(-1, 1)
