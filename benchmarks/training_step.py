@@ -34,6 +34,7 @@ from torch.utils.data import DataLoader
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.nets import create_model
 from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.losses import smooth_l1_sum, trained_pixels
 from mobilestereonet.training.memory import keep_freed_memory
 from mobilestereonet.training.module import StereoModule
@@ -114,7 +115,8 @@ def our_steps(model: str, pair: StereoSample, paper_loss: bool, steps: int) -> l
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    trainer.fit(StereoModule(recipe, steps, 1), DataLoader([pair] * steps, batch_size=None))
+    batches = [TrainingBatch(pair)] * steps
+    trainer.fit(StereoModule(recipe, steps, 1), DataLoader(batches, batch_size=None))
     return clock.seconds
 
 

@@ -49,33 +49,33 @@ def _assert_same(batch: StereoSample, index: int, other: StereoSample, place: in
 @pytest.mark.parametrize("kind", ["procedural", "files"])
 def test_a_position_is_one_pair_in_any_batch(kind, scenes):
     pairs = _pairs(scenes if kind == "procedural" else Numbers())
-    batch = pairs.__getitems__(list(range(6)))
+    batch = pairs.__getitems__(list(range(6))).augmented
     assert batch.left.shape == (6, 3, 32, 48)
     for position in range(6):
-        _assert_same(batch, position, pairs.__getitems__([position]), 0)
-    mixed = pairs.__getitems__([5, 2])
+        _assert_same(batch, position, pairs.__getitems__([position]).augmented, 0)
+    mixed = pairs.__getitems__([5, 2]).augmented
     _assert_same(batch, 5, mixed, 0)
     _assert_same(batch, 2, mixed, 1)
-    other = TrainingPairs(pairs.source, AUGMENT, 4).__getitems__([0])
+    other = TrainingPairs(pairs.source, AUGMENT, 4).__getitems__([0]).augmented
     assert not torch.allclose(other.left[0], batch.left[0], atol=1e-3)
 
 
 def test_every_epoch_has_an_order_of_its_own():
     pairs = _pairs(Numbers())
-    names = [pairs.__getitems__([position]).name for position in range(15)]
+    names = [pairs.__getitems__([position]).augmented.name for position in range(15)]
     epochs = [names[:5], names[5:10], names[10:]]
     assert all(sorted(epoch) == list("01234") for epoch in epochs)
     assert len({tuple(epoch) for epoch in epochs}) == 3
-    batch = pairs.__getitems__([0, 1, 2])
+    batch = pairs.__getitems__([0, 1, 2]).augmented
     assert batch.name == ",".join(names[:3])
     assert batch.disparity.amax((1, 2)).round().tolist() != [1, 1, 1]
 
 
 def test_two_epochs_see_a_pair_differently():
     pairs = _pairs(Numbers())
-    names = [pairs.__getitems__([position]).name for position in range(10)]
+    names = [pairs.__getitems__([position]).augmented.name for position in range(10)]
     again = 5 + names[5:].index(names[0])
-    both = pairs.__getitems__([0, again])
+    both = pairs.__getitems__([0, again]).augmented
     assert not torch.allclose(both.left[0], both.left[1], atol=1e-3)
 
 
@@ -108,5 +108,5 @@ def test_data_loader_asks_for_whole_batches(scenes):
     loader = DataLoader(pairs, batch_sampler=sampler, collate_fn=lambda batch: batch)
     batches = list(loader)
     assert len(batches) == 2
-    _assert_same(batches[1], 1, pairs.__getitems__([3]), 0)
-    assert np.isfinite(batches[0].left.numpy()).all()
+    _assert_same(batches[1].augmented, 1, pairs.__getitems__([3]).augmented, 0)
+    assert np.isfinite(batches[0].augmented.left.numpy()).all()

@@ -10,6 +10,7 @@ from torch.utils.data import DataLoader
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe
 
@@ -62,7 +63,7 @@ def _fit(batches, recipe=RECIPE, **options) -> tuple[StereoModule, Recorder]:
         enable_model_summary=False,
         **options,
     )
-    trainer.fit(module, DataLoader(batches, batch_size=None))
+    trainer.fit(module, DataLoader([TrainingBatch(pair) for pair in batches], batch_size=None))
     return module, recorder
 
 
@@ -130,7 +131,7 @@ def test_the_gradient_is_clipped():
             accelerator="cpu", max_epochs=1, callbacks=[Norm()], logger=False,
             enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
         )  # fmt: skip
-        trainer.fit(module, DataLoader([_batch(1), _batch(2)], batch_size=None))
+        trainer.fit(module, DataLoader([TrainingBatch(_batch(i)) for i in (1, 2)], batch_size=None))
         assert len(norms) == 1  # of the first batch, before the second one's backward pass
         assert norms[0] == pytest.approx(0.5, rel=1e-3) if clip else norms[0] > 5
 

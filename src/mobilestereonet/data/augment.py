@@ -69,6 +69,11 @@ class AugmentConfig:
     patch: tuple[int, int] = (20, 80)
 
 
+def frame_only(config: AugmentConfig) -> AugmentConfig:
+    """Without all that follows the crop: the same pairs, unchanged, for generators like those."""
+    return AugmentConfig(height=config.height, width=config.width, scale=config.scale)
+
+
 def augment(
     sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
 ) -> StereoSample:

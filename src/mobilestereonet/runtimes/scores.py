@@ -79,6 +79,19 @@ class ScoresRuntime(ABC):
             disparity, confidence = torch.cat(maps, dim=1).to(left.device)
             return disparity, confidence
 
+    def scores(self, left: Tensor, right: Tensor) -> Tensor:
+        """The network's scores, see `StereoNet.aggregate`.
+
+        Args:
+            left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.
+            right: Right views, the same.
+
+        Returns:
+            (B, D, H / 4, W / 4) in the engine's precision, on its device.
+        """
+        with torch.inference_mode(), use_threads(self.threads):
+            return torch.cat(list(self._scores(left, right)))
+
     @abstractmethod
     def _scores(self, left: Tensor, right: Tensor) -> Iterable[Tensor]:
         """Scores (b, D, H / 4, W / 4) of the pairs in their order, b at a time."""

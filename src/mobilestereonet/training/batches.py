@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from torch.utils.data import Dataset, Sampler
 
-from mobilestereonet.data.augment import AugmentConfig, augment
+from mobilestereonet.data.augment import AugmentConfig, augment, frame_only
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 
@@ -20,34 +21,56 @@ _AUGMENT, _ORDER = 1 << 32, 1 << 33
 """Streams of the random generator beside the scenes' own, as bits of the key's first word."""
 
 
-class TrainingPairs(Dataset[StereoSample]):
+class TrainingBatch(NamedTuple):
+    """Pairs to train on."""
+
+    augmented: StereoSample
+    clean: StereoSample | None = None
+    """The same crops of the same pairs, otherwise unchanged: for a teacher."""
+
+
+class TrainingPairs(Dataset[TrainingBatch]):
     """Augmented pairs by position, for a DataLoader that asks for whole batches.
 
     Args:
         source: Procedural scenes, or any indexable data set of samples.
         config: The augmentation.
         seed: Seed of the order and of the augmentation.
+        clean: Give the pairs as they were before the augmentation as well.
     """
 
-    def __init__(self, source: Dataset[StereoSample], config: AugmentConfig, seed: int) -> None:
+    def __init__(
+        self,
+        source: Dataset[StereoSample],
+        config: AugmentConfig,
+        seed: int,
+        *,
+        clean: bool = False,
+    ) -> None:
         self.source = source
-        self.config = config
+        self.configs = (config, frame_only(config)) if clean else (config,)
         self.seed = seed
 
-    def __getitems__(self, positions: Sequence[int]) -> StereoSample:
+    def __getitems__(self, positions: Sequence[int]) -> TrainingBatch:
         """Batch of the pairs at ``positions``."""
-        generators = [
-            np.random.Generator(np.random.Philox(key=[self.seed | _AUGMENT, position]))
-            for position in positions
-        ]
         if isinstance(self.source, ProceduralScenes):
-            return augment(self.source.batch(positions), self.config, generators)
+            return self._augmented(self.source.batch(positions), positions)
         # One by one: pairs get one size by the crop only.
         pairs = [
-            augment(collate([self.source[self._index(position)]]), self.config, [generator])
-            for position, generator in zip(positions, generators, strict=True)
+            self._augmented(collate([self.source[self._index(position)]]), [position])
+            for position in positions
         ]
-        return collate([pair.map(itemgetter(0)) for pair in pairs])
+        samples = zip(*(pair[: len(self.configs)] for pair in pairs), strict=True)
+        return TrainingBatch(
+            *(collate([sample.map(itemgetter(0)) for sample in group]) for group in samples)
+        )
+
+    def _augmented(self, sample: StereoSample, positions: Sequence[int]) -> TrainingBatch:
+        def generators() -> list[np.random.Generator]:
+            keys = [[self.seed | _AUGMENT, position] for position in positions]
+            return [np.random.Generator(np.random.Philox(key=key)) for key in keys]
+
+        return TrainingBatch(*(augment(sample, config, generators()) for config in self.configs))
 
     def _index(self, position: int) -> int:
         """Every pass over the data set has an order of its own."""

@@ -11,6 +11,9 @@ from torch import Tensor
 PAPER_HEAD_WEIGHTS = (0.5, 0.5, 0.7, 1.0)
 """Weights of the four heads, first to last (the authors' release)."""
 
+AGREEMENT = 8.0
+"""Pixels by which a network and its teacher may differ and mean the same surface."""
+
 
 def trained_pixels(disparity: Tensor, valid: Tensor, max_disparity: int) -> Tensor:
     """Pixels that the losses look at: (B, H, W) bool, ground truth 0 < d < max_disparity."""
@@ -64,6 +67,44 @@ def cross_entropy_sum(scores: Sequence[Tensor], target: Tensor, mask: Tensor) ->
         loss = -((1 - share) * low + share * high)
         total = total + weight * torch.where(mask, loss, 0).sum()
     return 16 * total
+
+
+def distillation_sum(
+    scores: Sequence[Tensor],
+    disparity: Tensor,
+    teacher_scores: Tensor,
+    teacher_disparity: Tensor,
+    weight: Tensor,
+    *,
+    cross_entropy: float,
+) -> Tensor:
+    """What a teacher says, as a loss like that of the ground truth.
+
+    Its distribution over the coarse disparities for all heads (Kullback-Leibler divergence), and
+    its disparity for the last one: smooth L1 where both agree within `AGREEMENT` px, for where
+    they do not one of them sees another surface, and the distribution says which.
+
+    Args:
+        scores: Matching scores (B, D, H / 4, W / 4) of the last n heads.
+        disparity: Disparity (B, H, W) of the last head.
+        teacher_scores: The teacher's scores, like those of one head.
+        teacher_disparity: The teacher's disparity (B, H, W).
+        weight: What a pixel counts, (B, H, W), such as the teacher's confidence.
+        cross_entropy: Weight of the distribution beside the smooth L1.
+
+    Returns:
+        Sum over pixels and heads, a scalar.
+    """
+    target = teacher_scores.float().log_softmax(dim=1)
+    coarse = weight[:, 2::4, 2::4]
+    total = weight.new_zeros(())
+    for head, score in _weighted(scores):
+        found = score.float().log_softmax(dim=1)
+        divergence = F.kl_div(found, target, reduction="none", log_target=True).sum(dim=1)
+        total = total + head * (coarse * divergence).sum()
+    difference = F.smooth_l1_loss(disparity, teacher_disparity, reduction="none")
+    agree = (disparity - teacher_disparity).abs() < AGREEMENT
+    return 16 * cross_entropy * total + (weight * torch.where(agree, difference, 0)).sum()
 
 
 def _weighted(heads: Sequence[Tensor]) -> list[tuple[float, Tensor]]:

@@ -26,10 +26,17 @@ from mobilestereonet.nets import SIZE_MULTIPLE, create_model
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
+from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.depthwise import speed_up_depthwise
-from mobilestereonet.training.losses import cross_entropy_sum, smooth_l1_sum, trained_pixels
+from mobilestereonet.training.losses import (
+    cross_entropy_sum,
+    distillation_sum,
+    smooth_l1_sum,
+    trained_pixels,
+)
 from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.recipe import Recipe
+from mobilestereonet.training.teacher import Teacher
 
 _OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
@@ -60,6 +67,7 @@ class StereoModule(L.LightningModule):
         convert_conv2d_weight_memory_format(self.net, torch.channels_last)
         convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
         speed_up_depthwise(self.net)
+        self.teacher = Teacher(recipe.teacher, self.net.config) if recipe.teacher else None
         self.val_metrics = StereoMetrics(recipe.max_disparity)
         self.recipe = recipe
         self.steps = steps
@@ -81,38 +89,82 @@ class StereoModule(L.LightningModule):
         """Start the clock."""
         self._step_ended = time.monotonic()
 
-    def training_step(self, batch: StereoSample, batch_idx: int) -> Tensor:
+    def training_step(self, batch: TrainingBatch, batch_idx: int) -> Tensor:
         """Loss of one batch; its gradient, averaged over ranks, is that of the mean over pixels."""
         self._save_buffers()
-        if batch.disparity is None or batch.valid is None:
-            raise InputError(f"{batch.name} has no ground truth: choose another split to train on")
-        volume = self.net.cost_volume(normalise(batch.left), normalise(batch.right))
+        pairs = batch.augmented
+        if pairs.disparity is None and self.teacher is None:
+            raise InputError(f"{pairs.name} has no ground truth: choose another split to train on")
+        volume = self.net.cost_volume(normalise(pairs.left), normalise(pairs.right))
         scores = self.net.aggregate(volume)
-        mask = trained_pixels(batch.disparity, batch.valid, self.recipe.max_disparity)
         with torch.autocast(self.device.type, enabled=False):
             predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
-            loss = smooth_l1_sum(predictions, batch.disparity, mask)
-            if self.recipe.cross_entropy:
-                coarse = cross_entropy_sum(scores, batch.disparity, mask)
-                loss = loss + self.recipe.cross_entropy * coarse
-            if self.recipe.volume_cross_entropy and self.net.config.volume_channels == 1:
-                loss = loss + self.recipe.volume_cross_entropy * self._volume_loss(
-                    volume, batch.disparity, mask
+            loss = volume.new_zeros((), dtype=torch.float32)
+            if pairs.disparity is not None:
+                loss = self._truth_loss(pairs, volume, scores, predictions)
+            if self.teacher is not None:
+                assert batch.clean is not None
+                taught = self.recipe.distil * self._teacher_loss(
+                    self.teacher, batch.clean, scores, predictions[-1]
                 )
-        pixels = mask.sum().to(loss.dtype)
-        ranks = self.trainer.world_size
-        if ranks > 1:
-            dist.all_reduce(pixels)
-        loss = loss * ranks / pixels.clamp_min(1)
-        self._log_step(loss.detach(), predictions[-1].detach(), batch, mask)
+                self.log("train/teacher_loss", taught.detach())
+                loss = loss + taught
+        self.log("train/loss", loss.detach())
+        self.log("loss", loss.detach(), prog_bar=True, logger=False)
+        self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
         return loss
 
-    def on_train_batch_end(self, outputs: Any, batch: StereoSample, batch_idx: int) -> None:
+    def _truth_loss(
+        self,
+        pairs: StereoSample,
+        volume: Tensor,
+        scores: list[Tensor],
+        predictions: list[Tensor],
+    ) -> Tensor:
+        assert pairs.disparity is not None and pairs.valid is not None
+        mask = trained_pixels(pairs.disparity, pairs.valid, self.recipe.max_disparity)
+        loss = smooth_l1_sum(predictions, pairs.disparity, mask)
+        if self.recipe.cross_entropy:
+            coarse = cross_entropy_sum(scores, pairs.disparity, mask)
+            loss = loss + self.recipe.cross_entropy * coarse
+        if self.recipe.volume_cross_entropy and self.net.config.volume_channels == 1:
+            loss = loss + self.recipe.volume_cross_entropy * self._volume_loss(
+                volume, pairs.disparity, mask
+            )
+        error = torch.where(mask, (predictions[-1].detach() - pairs.disparity).abs(), 0)
+        epe = error.sum() / mask.sum().clamp_min(1)
+        self.log("train/epe", epe)
+        self.log("EPE", epe, prog_bar=True, logger=False)
+        return self._per_pixel(loss, mask)
+
+    def _teacher_loss(
+        self, teacher: Teacher, clean: StereoSample, scores: list[Tensor], prediction: Tensor
+    ) -> Tensor:
+        teacher_scores, teacher_disparity, confidence = teacher(clean)
+        loss = distillation_sum(
+            scores,
+            prediction,
+            teacher_scores,
+            teacher_disparity,
+            confidence,
+            cross_entropy=self.recipe.cross_entropy,
+        )
+        return self._per_pixel(loss, confidence)
+
+    def _per_pixel(self, loss: Tensor, weight: Tensor) -> Tensor:
+        """A sum over this rank's pixels, divided by the mean weight of all ranks' pixels."""
+        total = weight.sum().to(loss.dtype)
+        ranks = self.trainer.world_size
+        if ranks > 1:
+            dist.all_reduce(total)
+        return loss * ranks / total.clamp_min(1)
+
+    def on_train_batch_end(self, outputs: Any, batch: TrainingBatch, batch_idx: int) -> None:
         """Log the speed: the median of some steps leaves checkpoints and validation out."""
         now = time.monotonic()
         self._seconds.append(now - self._step_ended)
         self._step_ended = now
-        rate = len(batch.left) * self.trainer.world_size / median(self._seconds)
+        rate = len(batch.augmented.left) * self.trainer.world_size / median(self._seconds)
         self.log("train/samples_per_second", rate)
         self.log("samples/s", rate, prog_bar=True, logger=False)
 
@@ -170,16 +222,6 @@ class StereoModule(L.LightningModule):
             torch._foreach_copy_(self._saved_buffers, buffers)
         else:
             self._saved_buffers = [buffer.clone() for buffer in buffers]
-
-    def _log_step(
-        self, loss: Tensor, prediction: Tensor, batch: StereoSample, mask: Tensor
-    ) -> None:
-        assert batch.disparity is not None
-        error = torch.where(mask, (prediction - batch.disparity).abs(), 0)
-        epe = error.sum() / mask.sum().clamp_min(1)
-        self.log_dict({"train/loss": loss, "train/epe": epe})
-        self.log_dict({"loss": loss, "EPE": epe}, prog_bar=True, logger=False)
-        self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
 
     def _log_pictures(self, batch: StereoSample, prediction: Tensor) -> None:
         assert batch.disparity is not None and batch.valid is not None

@@ -52,6 +52,10 @@ class Recipe:
         save_every: Steps between two checkpoints.
         volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
             volume, which reaches the features on a short way.
+        teacher: Another network to learn from, where it is sure, beside or without ground truth:
+            the name of embedded weights, or a weights file. It sees each pair before the changes
+            of colour, sensor and alignment. None: ground truth alone.
+        distil: Weight of what the teacher says, against the ground truth's 1.
         zero_residuals: Start the residual branches of fresh weights at zero, see
             `StereoNet.zero_residuals`; the paper does not.
         seed: Seed of the fresh weights, the order of the data and the augmentation.
@@ -81,6 +85,8 @@ class Recipe:
     save_every: int = 250
     volume_cross_entropy: float = 0.0
     zero_residuals: bool = False
+    teacher: str | None = None
+    distil: float = 1.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -90,7 +96,7 @@ class Recipe:
                 f"steps={self.steps}: set one of them to null"
             )
         positive = ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every")
-        for name in (*positive, "val_scenes", "epochs", "steps", "clip"):
+        for name in (*positive, "val_scenes", "epochs", "steps", "clip", "distil"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"recipe: {name} must be positive, got {value}")

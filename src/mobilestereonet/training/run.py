@@ -22,7 +22,7 @@ from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.errors import InputError
-from mobilestereonet.training.batches import PositionBatches, TrainingPairs
+from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,
     LastCheckpoint,
@@ -71,7 +71,8 @@ class RunData(L.LightningDataModule):
             if self.root is None:
                 raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
             pairs = open_data_set(recipe.data, self.root, **options)
-            pairs.require_truth()
+            if recipe.teacher is None or options is not recipe.data_options:
+                pairs.require_truth()
             return pairs
 
         procedural = recipe.data == "procedural"
@@ -85,12 +86,17 @@ class RunData(L.LightningDataModule):
         assert self.trainer is not None
         self.train_source, self.val_source = self.sources(self.trainer.strategy.root_device)
 
-    def train_dataloader(self) -> DataLoader[StereoSample]:
+    def train_dataloader(self) -> DataLoader[TrainingBatch]:
         """Batches from the current step on."""
         trainer = self.trainer
         assert trainer is not None
         return DataLoader(
-            TrainingPairs(self.train_source, self.recipe.augment, self.recipe.seed),
+            TrainingPairs(
+                self.train_source,
+                self.recipe.augment,
+                self.recipe.seed,
+                clean=self.recipe.teacher is not None,
+            ),
             batch_sampler=PositionBatches(
                 lambda: trainer.global_step,
                 trainer.max_steps,

@@ -1,0 +1,61 @@
+"""A trained network that another one learns from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import NetConfig
+from mobilestereonet.nets.confidence import match_confidence
+from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
+from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
+
+
+class Teacher:
+    """Matches pairs for another network; no module, so that no checkpoint of that one holds it.
+
+    Args:
+        weights: The name of embedded weights, or a weights file.
+        student: Config of the network that learns.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file holds no weights, or those of a network that searches other
+            disparities than the student.
+    """
+
+    def __init__(self, weights: str, student: NetConfig) -> None:
+        named = weights in embedded_models()
+        self.net = load_pretrained(weights) if named else load_weights(Path(weights))
+        if self.net.config.max_disparity != student.max_disparity:
+            raise InputError(
+                f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "
+                f"network in training {student.max_disparity}: set max_disparity to the former"
+            )
+        self._runtime: TorchRuntime | None = None
+
+    def __call__(self, pairs: StereoSample) -> tuple[Tensor, Tensor, Tensor]:
+        """Match a batch on the device on which it is.
+
+        Args:
+            pairs: Views (B, 3, H, W) in 0..1, H and W multiples of 16.
+
+        Returns:
+            Scores (B, D, H / 4, W / 4), disparity (B, H, W) in px, and its confidence in 0..1.
+        """
+        device = pairs.left.device
+        if self._runtime is None:
+            precision = "bf16" if device.type == "cuda" or has_bfloat16() else "fp32"
+            self._runtime = TorchRuntime(self.net, device=device, precision=precision)
+        scores = self._runtime.scores(normalise(pairs.left), normalise(pairs.right))
+        # Tensors of the inference mode must not be part of a gradient.
+        scores = scores.clone()
+        estimator = self.net.config.estimator
+        with torch.no_grad():
+            return scores, regress_disparity(scores, estimator), match_confidence(scores, estimator)
