@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.features import ResidualBlock
-from mobilestereonet.nets.hourglass import Head, Hourglass
+from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
 
 _ONEDNN: dict[str, tuple[str, list[float]]] = {
     "none": ("none", []),
@@ -21,10 +21,10 @@ _ONEDNN: dict[str, tuple[str, list[float]]] = {
 }
 """oneDNN's names and limits of the activations that it can append to a convolution."""
 
-SLICE = 1 << 24
+SLICE = 1 << 23
 """Bytes of a v2 block's hidden tensor that exist at a time: what a processor's cache can hold."""
 
-MIN_ROWS = 8
+MIN_ROWS = 6
 """Rows in a slice at least: two more are computed for each of them."""
 
 
@@ -100,6 +100,19 @@ class FusedResidualBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
         return cast(Tensor, self.last(self.layers(x), self.downsample(x)))
+
+
+class FusedPreHourglass(nn.Module):
+    """`PreHourglass` that sums in place."""
+
+    def __init__(self, blocks: PreHourglass) -> None:
+        super().__init__()
+        self.first, self.second = blocks.first, blocks.second
+
+    def forward(self, volume: Tensor) -> Tensor:
+        """(B, inputs, ...) -> (B, width, ...), same spatial size."""
+        x = self.first(volume)
+        return cast(Tensor, self.second(x).add_(x))
 
 
 class FusedHourglass(nn.Module):

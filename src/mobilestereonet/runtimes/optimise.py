@@ -23,10 +23,11 @@ from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.cost_volumes import LearnedVolume
 from mobilestereonet.nets.features import ResidualBlock
-from mobilestereonet.nets.hourglass import Head, Hourglass
+from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
 from mobilestereonet.runtimes.fused import (
     FusedConv,
     FusedHourglass,
+    FusedPreHourglass,
     FusedResidualBlock,
     SlicedHead,
     SlicedV2Block,
@@ -138,8 +139,8 @@ def slice_blocks(net: nn.Module) -> None:
 def fuse_convolutions(net: StereoNet) -> None:
     """Convolutions and v2 blocks do the activation after them in the same pass.
 
-    Residual blocks and hourglasses take their sums without another tensor. After `fold_norms` and
-    `slice_blocks`.
+    Residual blocks, pre-hourglass and hourglasses take their sums without another tensor. After
+    `fold_norms` and `slice_blocks`.
     """
     for layers in [module for module in net.modules() if isinstance(module, nn.Sequential)]:
         for index in reversed(range(len(layers))):
@@ -152,6 +153,7 @@ def fuse_convolutions(net: StereoNet) -> None:
                 last.activation = name
                 del layers[index + 1]
     _replace(net, ResidualBlock, FusedResidualBlock)
+    _replace(net, PreHourglass, FusedPreHourglass)
     _replace(net, Hourglass, FusedHourglass)
 
 
