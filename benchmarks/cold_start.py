@@ -41,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     installed = [name for name in ENGINES if importlib.util.find_spec(name)]
     parser.add_argument("--models", nargs="+", default=["msnet2d", "msnet3d"])
-    parser.add_argument("--engines", nargs="+", default=installed)
+    parser.add_argument("--engines", nargs="+", default=installed, choices=ENGINES)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
@@ -81,7 +81,6 @@ def measure(
                 command,
                 check=True,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
                 env={**os.environ, "OMP_NUM_THREADS": str(threads)},
             )
             if turn:

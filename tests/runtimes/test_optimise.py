@@ -117,7 +117,7 @@ def test_a_block_in_slices(dims, outputs, stride, dilation, size, monkeypatch):
             module.running_mean.normal_()
             module.bias.data.normal_(std=3)  # so that padding differs from the value around it
     for height in (1, 2, 11):
-        x = torch.randn(2, 4, *[5] * (dims - 2), height, 7, dtype=torch.float64)
+        x = torch.randn(2, 4, height, *[5] * (dims - 2), 7, dtype=torch.float64)
         sliced = copy.deepcopy(layers)
         with torch.inference_mode():
             expected = layers(x)

@@ -5,7 +5,7 @@ import lightning as L
 import pytest
 import torch
 from lightning.pytorch.plugins.precision import MixedPrecision
-from torch.utils.data import DataLoader
+from short_run import fit
 
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
@@ -52,19 +52,8 @@ class Recorder(L.Callback):
 
 
 def _fit(batches, recipe=RECIPE, **options) -> tuple[StereoModule, Recorder]:
-    module, recorder = StereoModule(recipe, recipe.steps, 8), Recorder()
-    trainer = L.Trainer(
-        accelerator="cpu",
-        max_epochs=1,
-        callbacks=[recorder],
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        **options,
-    )
-    trainer.fit(module, DataLoader([TrainingBatch(pair) for pair in batches], batch_size=None))
-    return module, recorder
+    recorder = Recorder()
+    return fit([TrainingBatch(pair) for pair in batches], recipe, [recorder], **options), recorder
 
 
 def _same(a: dict, b: dict) -> bool:
@@ -126,12 +115,7 @@ def test_the_gradient_is_clipped():
 
     for clip in (None, 0.5):
         norms.clear()
-        module = StereoModule(replace(RECIPE, clip=clip), 10, 8)
-        trainer = L.Trainer(
-            accelerator="cpu", max_epochs=1, callbacks=[Norm()], logger=False,
-            enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
-        )  # fmt: skip
-        trainer.fit(module, DataLoader([TrainingBatch(_batch(i)) for i in (1, 2)], batch_size=None))
+        fit([TrainingBatch(_batch(i)) for i in (1, 2)], replace(RECIPE, clip=clip), [Norm()])
         assert len(norms) == 1  # of the first batch, before the second one's backward pass
         assert norms[0] == pytest.approx(0.5, rel=1e-3) if clip else norms[0] > 5
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 from safetensors.torch import load_file
+from short_run import save_teacher
 
 STEPS = 14
 VALUES = {
@@ -33,12 +34,12 @@ VALUES = {
 }
 
 
-def _start(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+def _start(folder: Path, *arguments: str, cwd: Path | None = None) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "mobilestereonet", "train", str(folder)]
     command += ["--accelerator", "cpu", "--no-progress", *arguments]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with (folder.parent / f"{folder.name}.log").open("ab") as log:
-        return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=cwd)
 
 
 def _kill_after(file: Path, delay: float, process: subprocess.Popen[bytes]) -> None:
@@ -66,9 +67,11 @@ def _assert_equal(ours, theirs, name: str) -> None:
 
 
 def test_killed_and_resumed(tmp_path):
-    settings = [f"--set={name}={value}" for name, value in VALUES.items()]
+    save_teacher(tmp_path / "teacher.safetensors", VALUES["model"])
+    values = VALUES | {"teacher": "teacher.safetensors"}  # from the folder of the first start
+    settings = [f"--set={name}={value}" for name, value in values.items()]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    first, other = _start(killed, *settings), _start(whole, *settings)
+    first, other = (_start(f, *settings, cwd=tmp_path) for f in (killed, whole))
     delay = random.uniform(0, 0.5)
     _kill_after(killed / "last.ckpt", delay, first)
     stopped_at = torch.load(killed / "last.ckpt", weights_only=False)["global_step"]

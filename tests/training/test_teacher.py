@@ -4,7 +4,8 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset
+from short_run import fit, save_teacher
+from torch.utils.data import Dataset
 
 from mobilestereonet import InputError, create_model
 from mobilestereonet.data.augment import AugmentConfig
@@ -18,7 +19,6 @@ from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
 from mobilestereonet.training.teacher import Teacher
-from mobilestereonet.weights import save_weights
 
 RECIPE = Recipe(
     model="table3a-v1-v1", max_disparity=32, steps=3, full_heads=1, cross_entropy=5.0, clip=1.0
@@ -27,9 +27,8 @@ RECIPE = Recipe(
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    torch.manual_seed(1)
     path = tmp_path_factory.mktemp("teacher") / "teacher.safetensors"
-    save_weights(create_model(RECIPE.model, max_disparity=32), path)
+    save_teacher(path, RECIPE.model)
     return path
 
 
@@ -38,22 +37,18 @@ def pair(seed=0, height=32, width=48):
     return StereoSample(left, right, name="pair")
 
 
+class Losses(L.Callback):
+    def __init__(self):
+        self.values = []
+
+    def on_train_batch_end(self, trainer, pl_module, outputs, *_):
+        self.values.append(float(outputs["loss"]))
+
+
 def step(recipe, batch):
     """The module after one step, and its loss."""
-    module = StereoModule(recipe, 10, 8)
-    losses = []
-    original = module.training_step
-    module.training_step = lambda *args: losses.append(original(*args)) or losses[-1]
-    trainer = L.Trainer(
-        accelerator="cpu",
-        max_epochs=1,
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
-    trainer.fit(module, DataLoader([batch], batch_size=None))
-    return module, float(losses[0].detach())
+    losses = Losses()
+    return fit([batch], recipe, [losses]), losses.values[0]
 
 
 def test_what_it_says_is_what_its_network_says(weights):
@@ -71,6 +66,14 @@ def test_what_it_says_is_what_its_network_says(weights):
 def test_another_range_of_disparities_is_refused(weights):
     with pytest.raises(InputError, match="searches 32 disparities, the network in training 192"):
         Teacher(str(weights), create_model("msnet2d").config)
+
+
+def test_what_is_no_weights_is_named():
+    message = "teacher msnet2D: neither embedded weights .*msnet2d.* nor a weights file"
+    with pytest.raises(FileNotFoundError, match=message):
+        Teacher("msnet2D", create_model("msnet2d").config)
+    with pytest.raises(InputError, match=r"a teacher needs cross_entropy > 0, .* got 0\.0"):
+        Recipe(steps=1, teacher="msnet2d")
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -129,13 +132,13 @@ class Numbers(Dataset):
 
 
 @pytest.mark.parametrize("kind", ["files", "procedural"])
-def test_the_clean_pair_is_the_same_crop(kind):
+def test_clean_views_have_the_same_geometry(kind):
     source = Numbers()
     if kind == "procedural":
         source = ProceduralScenes(SceneConfig(height=40, width=60, length=3, noise_textures=2))
-    crop = AugmentConfig(height=32, width=48, scale=(-0.1, 0.3))
+    crop = AugmentConfig(height=32, width=48, scale=(-0.1, 0.3), vertical_shift=2.0, rotation=3.0)
     plain = TrainingPairs(source, crop, 3).__getitems__([1, 2]).augmented
-    changed = replace(crop, noise=0.2, exposure=(0.2, 0.3), vertical_shift=2.0)
+    changed = replace(crop, noise=0.2, exposure=(0.2, 0.3))
     batch = TrainingPairs(source, changed, 3, clean=True).__getitems__([1, 2])
     assert batch.clean.left.equal(plain.left) and batch.clean.right.equal(plain.right)
     assert batch.clean.name == batch.augmented.name

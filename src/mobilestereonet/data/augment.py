@@ -69,9 +69,18 @@ class AugmentConfig:
     patch: tuple[int, int] = (20, 80)
 
 
-def frame_only(config: AugmentConfig) -> AugmentConfig:
-    """Without all that follows the crop: the same pairs, unchanged, for generators like those."""
-    return AugmentConfig(height=config.height, width=config.width, scale=config.scale)
+def geometry_only(config: AugmentConfig) -> AugmentConfig:
+    """The part of a config that moves pixels, without what changes their values.
+
+    Generators in the same state give the same crops, scales and misalignments under both.
+    """
+    return AugmentConfig(
+        height=config.height,
+        width=config.width,
+        scale=config.scale,
+        vertical_shift=config.vertical_shift,
+        rotation=config.rotation,
+    )
 
 
 def augment(

@@ -22,10 +22,12 @@ _ONEDNN: dict[str, tuple[str, list[float]]] = {
 """oneDNN's names and limits of the activations that it can append to a convolution."""
 
 SLICE = 1 << 23
-"""Bytes of a v2 block's hidden tensor that exist at a time: what a processor's cache can hold."""
+"""Bytes of a v2 block's hidden tensor, or of a head's input, that are worked on at a time.
+
+What a processor's cache can hold."""
 
 MIN_ROWS = 6
-"""Rows in a slice at least: two more are computed for each of them."""
+"""Rows in a slice at least: whatever their number, two more are computed around them."""
 
 
 def activation_name(layer: nn.Module) -> str:

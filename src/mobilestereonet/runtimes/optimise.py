@@ -106,7 +106,7 @@ def volume_by_planes(net: StereoNet) -> None:
 def columns_first(net: StereoNet) -> None:
     """A 3D encoder takes the volume as columns, disparities and rows, as which it lies in memory.
 
-    The plane of a column is the smallest of the three, so that some of them fit into a cache.
+    Of views wider than high the plane of a column is the smallest, so that some fit into a cache.
     After `volume_by_planes` and `drop_training_heads`.
     """
     if net.config.dims == 2:

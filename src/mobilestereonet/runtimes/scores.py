@@ -88,6 +88,9 @@ class ScoresRuntime(ABC):
 
         Returns:
             (B, D, H / 4, W / 4) in the engine's precision, on its device.
+
+        Raises:
+            InputError: If the shapes do not fit.
         """
         with torch.inference_mode(), use_threads(self.threads):
             return torch.cat(list(self._scores(left, right)))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from torch.utils.data import Dataset, Sampler
 
-from mobilestereonet.data.augment import AugmentConfig, augment, frame_only
+from mobilestereonet.data.augment import AugmentConfig, augment, geometry_only
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 
@@ -26,7 +26,7 @@ class TrainingBatch(NamedTuple):
 
     augmented: StereoSample
     clean: StereoSample | None = None
-    """The same crops of the same pairs, otherwise unchanged: for a teacher."""
+    """Views of the same pairs with only their geometry augmented: for a teacher."""
 
 
 class TrainingPairs(Dataset[TrainingBatch]):
@@ -36,7 +36,7 @@ class TrainingPairs(Dataset[TrainingBatch]):
         source: Procedural scenes, or any indexable data set of samples.
         config: The augmentation.
         seed: Seed of the order and of the augmentation.
-        clean: Give the pairs as they were before the augmentation as well.
+        clean: Give clean views as well, see `TrainingBatch`.
     """
 
     def __init__(
@@ -48,29 +48,40 @@ class TrainingPairs(Dataset[TrainingBatch]):
         clean: bool = False,
     ) -> None:
         self.source = source
-        self.configs = (config, frame_only(config)) if clean else (config,)
+        self.config = config
         self.seed = seed
+        self.clean = clean
 
     def __getitems__(self, positions: Sequence[int]) -> TrainingBatch:
         """Batch of the pairs at ``positions``."""
         if isinstance(self.source, ProceduralScenes):
-            return self._augmented(self.source.batch(positions), positions)
-        # One by one: pairs get one size by the crop only.
-        pairs = [
-            self._augmented(collate([self.source[self._index(position)]]), [position])
-            for position in positions
-        ]
-        samples = zip(*(pair[: len(self.configs)] for pair in pairs), strict=True)
-        return TrainingBatch(
-            *(collate([sample.map(itemgetter(0)) for sample in group]) for group in samples)
-        )
+            pairs = [self.source.batch(positions)]
+            groups = [positions]
+        else:
+            # One by one: pairs get one size by the crop only.
+            pairs = [collate([self.source[self._index(position)]]) for position in positions]
+            groups = [[position] for position in positions]
+        batch = self._augment(pairs, groups, self.config)
+        if not self.clean:
+            return TrainingBatch(batch)
+        views = [StereoSample(pair.left, pair.right, name=pair.name) for pair in pairs]
+        return TrainingBatch(batch, self._augment(views, groups, geometry_only(self.config)))
 
-    def _augmented(self, sample: StereoSample, positions: Sequence[int]) -> TrainingBatch:
-        def generators() -> list[np.random.Generator]:
+    def _augment(
+        self,
+        batches: Sequence[StereoSample],
+        groups: Sequence[Sequence[int]],
+        config: AugmentConfig,
+    ) -> StereoSample:
+        """Augment batches of the pairs at groups of positions, and join them."""
+        augmented = []
+        for batch, positions in zip(batches, groups, strict=True):
             keys = [[self.seed | _AUGMENT, position] for position in positions]
-            return [np.random.Generator(np.random.Philox(key=key)) for key in keys]
-
-        return TrainingBatch(*(augment(sample, config, generators()) for config in self.configs))
+            generators = [np.random.Generator(np.random.Philox(key=key)) for key in keys]
+            augmented.append(augment(batch, config, generators))
+        if len(augmented) == 1:
+            return augmented[0]
+        return collate([batch.map(itemgetter(0)) for batch in augmented])
 
     def _index(self, position: int) -> int:
         """Every pass over the data set has an order of its own."""

@@ -86,9 +86,9 @@ def distillation_sum(
 
     Args:
         scores: Matching scores (B, D, H / 4, W / 4) of the last n heads.
-        disparity: Disparity (B, H, W) of the last head.
+        disparity: Disparity (B, H, W) of the last head in pixels.
         teacher_scores: The teacher's scores, like those of one head.
-        teacher_disparity: The teacher's disparity (B, H, W).
+        teacher_disparity: The teacher's disparity (B, H, W) in pixels.
         weight: What a pixel counts, (B, H, W), such as the teacher's confidence.
         cross_entropy: Weight of the distribution beside the smooth L1.
 

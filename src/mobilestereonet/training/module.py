@@ -67,7 +67,9 @@ class StereoModule(L.LightningModule):
         convert_conv2d_weight_memory_format(self.net, torch.channels_last)
         convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
         speed_up_depthwise(self.net)
-        self.teacher = Teacher(recipe.teacher, self.net.config) if recipe.teacher else None
+        self.teacher = (
+            Teacher(recipe.teacher, self.net.config) if recipe.teacher is not None else None
+        )
         self.val_metrics = StereoMetrics(recipe.max_disparity)
         self.recipe = recipe
         self.steps = steps
@@ -94,21 +96,27 @@ class StereoModule(L.LightningModule):
         self._save_buffers()
         pairs = batch.augmented
         if pairs.disparity is None and self.teacher is None:
-            raise InputError(f"{pairs.name} has no ground truth: choose another split to train on")
+            raise InputError(
+                f"{pairs.name} has no ground truth: choose another split to train on, or set a "
+                "teacher"
+            )
         volume = self.net.cost_volume(normalise(pairs.left), normalise(pairs.right))
         scores = self.net.aggregate(volume)
         with torch.autocast(self.device.type, enabled=False):
             predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
-            loss = volume.new_zeros((), dtype=torch.float32)
-            if pairs.disparity is not None:
-                loss = self._truth_loss(pairs, volume, scores, predictions)
+            sums = [self._truth_loss(pairs, volume, scores, predictions)]
             if self.teacher is not None:
                 assert batch.clean is not None
-                taught = self.recipe.distil * self._teacher_loss(
-                    self.teacher, batch.clean, scores, predictions[-1]
-                )
-                self.log("train/teacher_loss", taught.detach())
-                loss = loss + taught
+                sums.append(self._teacher_loss(self.teacher, batch.clean, scores, predictions[-1]))
+        losses, pixels = (torch.stack(part) for part in zip(*sums, strict=True))
+        ranks = self.trainer.world_size
+        if ranks > 1:
+            dist.all_reduce(pixels)
+        losses = losses * ranks / pixels.clamp_min(1)
+        loss = losses[0]
+        if self.teacher is not None:
+            self.log("train/teacher_loss", losses[1].detach())
+            loss = loss + self.recipe.distil * losses[1]
         self.log("train/loss", loss.detach())
         self.log("loss", loss.detach(), prog_bar=True, logger=False)
         self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
@@ -120,8 +128,11 @@ class StereoModule(L.LightningModule):
         volume: Tensor,
         scores: list[Tensor],
         predictions: list[Tensor],
-    ) -> Tensor:
-        assert pairs.disparity is not None and pairs.valid is not None
+    ) -> tuple[Tensor, Tensor]:
+        """Sum over the pixels with ground truth, and their number; zeros where there is none."""
+        if pairs.disparity is None or pairs.valid is None:
+            zero = volume.new_zeros((), dtype=torch.float32)
+            return zero, zero
         mask = trained_pixels(pairs.disparity, pairs.valid, self.recipe.max_disparity)
         loss = smooth_l1_sum(predictions, pairs.disparity, mask)
         if self.recipe.cross_entropy:
@@ -135,11 +146,12 @@ class StereoModule(L.LightningModule):
         epe = error.sum() / mask.sum().clamp_min(1)
         self.log("train/epe", epe)
         self.log("EPE", epe, prog_bar=True, logger=False)
-        return self._per_pixel(loss, mask)
+        return loss, mask.sum().to(loss.dtype)
 
     def _teacher_loss(
         self, teacher: Teacher, clean: StereoSample, scores: list[Tensor], prediction: Tensor
-    ) -> Tensor:
+    ) -> tuple[Tensor, Tensor]:
+        """Sum over the pixels, each as far as the teacher is sure of it, and of these weights."""
         teacher_scores, teacher_disparity, confidence = teacher(clean)
         loss = distillation_sum(
             scores,
@@ -149,15 +161,7 @@ class StereoModule(L.LightningModule):
             confidence,
             cross_entropy=self.recipe.cross_entropy,
         )
-        return self._per_pixel(loss, confidence)
-
-    def _per_pixel(self, loss: Tensor, weight: Tensor) -> Tensor:
-        """A sum over this rank's pixels, divided by the mean weight of all ranks' pixels."""
-        total = weight.sum().to(loss.dtype)
-        ranks = self.trainer.world_size
-        if ranks > 1:
-            dist.all_reduce(total)
-        return loss * ranks / total.clamp_min(1)
+        return loss, confidence.sum()
 
     def on_train_batch_end(self, outputs: Any, batch: TrainingBatch, batch_idx: int) -> None:
         """Log the speed: the median of some steps leaves checkpoints and validation out."""

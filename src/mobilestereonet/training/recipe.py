@@ -46,15 +46,17 @@ class Recipe:
             points at one position are a jump.
         clip: Largest norm of the gradient; None does not clip.
         ema: Decay of the weights' moving average that is validated and exported; 0 has none.
-        full_heads: Heads, counted from the last, that the full-resolution smooth L1 trains.
-        cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1.
+        full_heads: Heads, counted from the last, that the full-resolution smooth L1 against the
+            ground truth trains.
+        cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1, against
+            the ground truth and against a teacher.
         val_every: Steps between two validations.
         save_every: Steps between two checkpoints.
         volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
             volume, which reaches the features on a short way.
         teacher: Another network to learn from, where it is sure, beside or without ground truth:
             the name of embedded weights, or a weights file. It sees each pair before the changes
-            of colour, sensor and alignment. None: ground truth alone.
+            of colour and sensor. None: ground truth alone.
         distil: Weight of what the teacher says, against the ground truth's 1.
         zero_residuals: Start the residual branches of fresh weights at zero, see
             `StereoNet.zero_residuals`; the paper does not.
@@ -104,6 +106,11 @@ class Recipe:
             raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
         if self.estimator not in ("mean", "mode"):
             raise InputError(f"recipe: estimator must be mean or mode, got {self.estimator!r}")
+        if self.teacher is not None and not self.cross_entropy > 0:
+            raise InputError(
+                "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
+                f"{self.cross_entropy}: set it, such as cross_entropy=5"
+            )
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
         if not 0 <= self.seed < 1 << 32:

@@ -32,7 +32,7 @@ from mobilestereonet.training.callbacks import (
 )
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.weights import load_weights, save_weights
+from mobilestereonet.weights import embedded_models, load_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
@@ -67,18 +67,22 @@ class RunData(L.LightningDataModule):
             config = replace(recipe.scenes, seed=recipe.scenes.seed + offset, length=length)
             return ProceduralScenes(config, textures=self.textures, device=device)
 
-        def files(options: dict[str, Any]) -> Dataset[StereoSample]:
+        def files(options: dict[str, Any], *, truth: bool) -> Dataset[StereoSample]:
             if self.root is None:
                 raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
             pairs = open_data_set(recipe.data, self.root, **options)
-            if recipe.teacher is None or options is not recipe.data_options:
+            if truth:
                 pairs.require_truth()
             return pairs
 
         procedural = recipe.data == "procedural"
-        train = scenes(0, recipe.scenes.length) if procedural else files(recipe.data_options)
+        train = (
+            scenes(0, recipe.scenes.length)
+            if procedural
+            else files(recipe.data_options, truth=recipe.teacher is None)
+        )
         if recipe.val_options is not None and not procedural:
-            return train, files(recipe.val_options)
+            return train, files(recipe.val_options, truth=True)
         return train, scenes(_VALIDATION_SEED, recipe.val_scenes)
 
     def setup(self, stage: str) -> None:
@@ -170,15 +174,19 @@ def train(
         The module, with the averaged weights.
 
     Raises:
-        FileNotFoundError: If a run to resume has lost its recipe.
+        FileNotFoundError: If a run to resume has lost its recipe, or the teacher's file is gone.
         InputError: If the folder holds another run, or none to resume; if the initial weights do
-            not fit; if Lightning refuses the precision, the devices or the time.
+            not fit; if the teacher searches other disparities; if Lightning refuses the precision,
+            the devices or the time.
     """
     last = folder / "last.ckpt"
     if resume and not last.is_file():
         raise InputError(f"nothing to resume: {last} is not there; start without --resume")
     if not resume and last.exists():
         raise InputError(f"{folder} holds a run already: --resume it, or choose another folder")
+    if recipe.teacher is not None and recipe.teacher not in embedded_models():
+        # So that a resumed run finds it from any folder.
+        recipe = replace(recipe, teacher=str(Path(recipe.teacher).absolute()))
     data = RunData(recipe, root, textures, workers)
     ranks = devices * num_nodes
     if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:

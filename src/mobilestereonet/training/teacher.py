@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -13,7 +14,8 @@ from mobilestereonet.nets import NetConfig
 from mobilestereonet.nets.confidence import match_confidence
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.torch import TorchRuntime, has_bfloat16
+from mobilestereonet.runtimes.choose import open_runtime
+from mobilestereonet.runtimes.scores import ScoresRuntime
 from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
 
 
@@ -25,34 +27,44 @@ class Teacher:
         student: Config of the network that learns.
 
     Raises:
-        FileNotFoundError: If there is no such file.
+        FileNotFoundError: If there are neither such embedded weights nor such a file.
         InputError: If the file holds no weights, or those of a network that searches other
             disparities than the student.
     """
 
     def __init__(self, weights: str, student: NetConfig) -> None:
-        named = weights in embedded_models()
-        self.net = load_pretrained(weights) if named else load_weights(Path(weights))
+        if weights in embedded_models():
+            self.net = load_pretrained(weights)
+        elif Path(weights).is_file():
+            self.net = load_weights(weights)
+        else:
+            raise FileNotFoundError(
+                f"teacher {weights}: neither embedded weights ({', '.join(embedded_models())}) nor "
+                "a weights file"
+            )
         if self.net.config.max_disparity != student.max_disparity:
             raise InputError(
                 f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "
                 f"network in training {student.max_disparity}: set max_disparity to the former"
             )
-        self._runtime: TorchRuntime | None = None
+        self._runtime: ScoresRuntime | None = None
 
     def __call__(self, pairs: StereoSample) -> tuple[Tensor, Tensor, Tensor]:
-        """Match a batch on the device on which it is.
+        """Match a batch on the device on which the first one is.
 
         Args:
             pairs: Views (B, 3, H, W) in 0..1, H and W multiples of 16.
 
         Returns:
-            Scores (B, D, H / 4, W / 4), disparity (B, H, W) in px, and its confidence in 0..1.
+            Scores (B, D, H / 4, W / 4) in bfloat16 where the device has it, else float32;
+            disparity (B, H, W) in px, and its confidence in 0..1.
+
+        Raises:
+            InputError: If the shapes do not fit, or the device is neither a CPU nor CUDA's.
         """
-        device = pairs.left.device
         if self._runtime is None:
-            precision = "bf16" if device.type == "cuda" or has_bfloat16() else "fp32"
-            self._runtime = TorchRuntime(self.net, device=device, precision=precision)
+            runtime = open_runtime("torch", self.net, device=str(pairs.left.device))
+            self._runtime = cast(ScoresRuntime, runtime)
         scores = self._runtime.scores(normalise(pairs.left), normalise(pairs.right))
         # Tensors of the inference mode must not be part of a gradient.
         scores = scores.clone()
