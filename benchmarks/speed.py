@@ -235,11 +235,12 @@ def plot(records: list[dict[str, Any]], file: Path) -> None:
     """Time against the image's size and against the range of disparities, one line per engine."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 5), layout="constrained")
     axes = figure.subplots(1, 2)
     lines: list[dict[str, list[tuple[float, float]]]] = [defaultdict(list), defaultdict(list)]
     for record in records:
-        name = f"{record['model']} {record['engine']} {record['precision']}"
+        name = f"{record['model']}, {record['engine']} {record['precision']}"
+        name = name.replace("plain fp32", "authors' formulation")
         height, width = map(int, record["size"].split("x"))
         if record["max_disparity"] == 192:
             lines[0][name].append((height * width / 1e6, record["seconds"]))
@@ -249,10 +250,12 @@ def plot(records: list[dict[str, Any]], file: Path) -> None:
     for axis, series, title in zip(axes, lines, titles, strict=True):
         for name, points in series.items():
             axis.plot(*zip(*sorted(points), strict=True), marker="o", label=name)
-        axis.set(xlabel=title, ylabel="seconds", yscale="log")
-        axis.grid(alpha=0.3, which="both")
-    axes[0].set_xscale("log")
-    axes[0].legend(fontsize=7)
+        ticks = sorted({x for points in series.values() for x, _ in points})
+        axis.set(xlabel=title, ylabel="seconds", xscale="log", yscale="log")
+        axis.set_xticks(ticks, [f"{x:.3g}" for x in ticks])
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     figure.savefig(file, dpi=130)
 
 
