@@ -72,7 +72,13 @@ class RunData(L.LightningDataModule):
                 raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
             pairs = open_data_set(recipe.data, self.root, **options)
             if truth:
-                pairs.require_truth()
+                try:
+                    pairs.require_truth()
+                except InputError as error:
+                    if recipe.teacher is not None:
+                        raise
+                    advice = "or learn from another network without any: set teacher"
+                    raise InputError(f"{error}; {advice}") from None
             return pairs
 
         procedural = recipe.data == "procedural"

@@ -40,7 +40,7 @@ class Teacher:
         else:
             raise FileNotFoundError(
                 f"teacher {weights}: neither embedded weights ({', '.join(embedded_models())}) nor "
-                "a weights file"
+                "a weights file: set teacher to one of these, or to where the file is now"
             )
         if self.net.config.max_disparity != student.max_disparity:
             raise InputError(
