@@ -23,10 +23,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from mobilestereonet.data.files import write_png
-from mobilestereonet.data.motorcycle import motorcycle
-from mobilestereonet.plots import to_picture
-
 PYTHON = sys.executable
 BARE = {
     "python": [PYTHON, "-c", "pass"],
@@ -46,10 +42,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        pair = motorcycle()
+        demo = [PYTHON, "-m", "mobilestereonet", "demo", "-o", folder]
+        subprocess.run(demo, check=True, stdout=subprocess.DEVNULL)  # leaves its pair
         views = [str(Path(folder, f"{name}.png")) for name in ("left", "right")]
-        for path, view in zip(views, (pair.left, pair.right), strict=True):
-            write_png(path, to_picture(view))
         commands = dict(BARE)
         for model in arguments.models:
             for engine in arguments.engines:

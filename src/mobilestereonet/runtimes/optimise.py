@@ -130,8 +130,8 @@ class MoveAxis(nn.Module):
         return x.movedim(self.source, self.destination)
 
 
-def slice_blocks(net: nn.Module) -> None:
-    """v2 blocks and 3D heads some rows at a time. After `fold_norms`."""
+def slice_blocks(net: StereoNet) -> None:
+    """v2 blocks and 3D heads by rows. After `fold_norms`, before `fuse_convolutions`."""
     _replace(net, V2Block, SlicedV2Block)
     _replace(net, Head, lambda head: SlicedHead(head) if head.dims == 3 else head)
 
