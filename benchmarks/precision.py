@@ -24,7 +24,7 @@ from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
 from mobilestereonet.runtimes.choose import open_runtime
-from mobilestereonet.weights import load_pretrained, load_weights
+from mobilestereonet.weights import load_weights
 
 REFERENCE = "torch:fp32"
 ENGINES = ("torch:bf16", "onnxruntime:fp32", "openvino:fp32", "openvino:bf16")
@@ -50,14 +50,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("engines", nargs="*", default=ENGINES, help="engine:precision, or a file")
     parser.add_argument("--root", type=Path, help="folder of the data sets' folders")
-    parser.add_argument("--model", default="msnet2d", help="network whose weights come with us")
-    parser.add_argument("--weights", type=Path, help="weights instead of these")
+    parser.add_argument("--weights", default="msnet2d", help="an embedded model or a file")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
 
-    weights = arguments.weights
-    net = load_weights(weights) if weights else load_pretrained(arguments.model)
+    net = load_weights(arguments.weights)
     pairs = [pair for _, pairs in real_and_synthetic(arguments.root) for pair in pairs]
     names = (REFERENCE, *arguments.engines)
     figures = {name: score(open_engine(name, net, arguments.threads), pairs) for name in names}

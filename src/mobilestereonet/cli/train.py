@@ -27,7 +27,10 @@ def train(
         Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
     ] = None,
     weights: Annotated[
-        Path | None, typer.Option(help="Weights to start from, ours or the authors'.")
+        Path | None,
+        typer.Option(
+            help="Weights to start from: msnet2d, msnet3d or a file, ours or the authors'."
+        ),
     ] = None,
     resume: Annotated[
         bool,

@@ -268,4 +268,8 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         return float(value)
     elif isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
         return value
-    raise InputError(f"{name} must be {hint if members else kind.__name__}, got {value!r}")
+    if kind is Mapping:
+        wanted: Any = 'a JSON object such as {"name": 0.5}'
+    else:
+        wanted = hint if members else kind.__name__
+    raise InputError(f"{name} must be {wanted}, got {value!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import cast
 
 import torch
@@ -16,7 +15,7 @@ from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.runtimes.scores import ScoresRuntime
-from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
+from mobilestereonet.weights import load_weights
 
 
 class Teacher:
@@ -33,15 +32,10 @@ class Teacher:
     """
 
     def __init__(self, weights: str, student: NetConfig) -> None:
-        if weights in embedded_models():
-            self.net = load_pretrained(weights)
-        elif Path(weights).is_file():
+        try:
             self.net = load_weights(weights)
-        else:
-            raise FileNotFoundError(
-                f"teacher {weights}: neither embedded weights ({', '.join(embedded_models())}) nor "
-                "a weights file: set teacher to one of these, or to where the file is now"
-            )
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"the recipe's teacher: {error}") from None
         if self.net.config.max_disparity != student.max_disparity:
             raise InputError(
                 f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "

@@ -19,7 +19,7 @@ def average_weights(paths: Sequence[str | Path]) -> StereoNet:
     (Wortsman et al., "Model soups", ICML 2022). Batch norms' statistics are averaged, too.
 
     Args:
-        paths: Two weights files or more, ours or the authors', of one network.
+        paths: Two weights or more of one network, as `load_weights` takes them.
 
     Returns:
         The network, in eval mode.

@@ -66,7 +66,8 @@ def load_weights(path: str | Path) -> StereoNet:
 
     Args:
         path: A file of `save_weights`, or a checkpoint of the authors' release (``.ckpt``,
-            ``.tar``, ``.pth``, ``.pt``; see `load_authors_checkpoint`).
+            ``.tar``, ``.pth``, ``.pt``; see `load_authors_checkpoint`), or the name of a model
+            whose weights come with the package.
 
     Returns:
         The network in eval mode, float32.
@@ -75,11 +76,14 @@ def load_weights(path: str | Path) -> StereoNet:
         FileNotFoundError: If there is no such file.
         InputError: If the file is cut off, or not one of these.
     """
-    path = Path(path)
+    embedded = embedded_models()
+    path = _EMBEDDED / f"{path}.safetensors" if str(path) in embedded else Path(path)
     if path.suffix in _CHECKPOINT_ENDINGS:
         return load_authors_checkpoint(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such weights file")
+        raise FileNotFoundError(
+            f"{path}: no such weights file; with the package come {', '.join(embedded)}"
+        )
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
