@@ -1,6 +1,6 @@
 """What an engine, a precision or an exported file changes in a network's accuracy.
 
-    python benchmarks/precision.py [ENGINE:PRECISION | FILE ...] [--root DIR] [--weights FILE]
+    python benchmarks/precision.py [ENGINE:PRECISION | FILE ...] [--root DIR] [--weights NAME]
 
 Runs each on the pairs of `accuracy.py` and compares it with PyTorch in fp32. An exported file must
 take any size, and runs in its own runtime. By default: all engines and precisions on the CPU.
@@ -24,7 +24,7 @@ from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
 from mobilestereonet.runtimes.choose import open_runtime
-from mobilestereonet.weights import load_weights
+from mobilestereonet.weights import open_weights
 
 REFERENCE = "torch:fp32"
 ENGINES = ("torch:bf16", "onnxruntime:fp32", "openvino:fp32", "openvino:bf16")
@@ -55,7 +55,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
 
-    net = load_weights(arguments.weights)
+    net = open_weights(arguments.weights)
     pairs = [pair for _, pairs in real_and_synthetic(arguments.root) for pair in pairs]
     names = (REFERENCE, *arguments.engines)
     figures = {name: score(open_engine(name, net, arguments.threads), pairs) for name in names}

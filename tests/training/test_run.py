@@ -86,6 +86,8 @@ def test_initial_weights(tmp_path):
         assert torch.allclose(after[name], before[name], atol=1e-7)
     with pytest.raises(InputError, match="do not fit table3a-v1-v1 with max_disparity = 64"):
         _train(tmp_path / "other", replace(recipe, max_disparity=64), initial=initial)
+    with pytest.raises(InputError, match="msnet2d: its weights do not fit table3a-v1-v1"):
+        _train(tmp_path / "other", recipe, initial="msnet2d")
     assert not (tmp_path / "other").exists()
 
 

@@ -69,7 +69,7 @@ def test_another_range_of_disparities_is_refused(weights):
 
 
 def test_what_is_no_weights_is_named():
-    message = "the recipe's teacher: msnet2D: no such weights file; .* come msnet2d, msnet3d"
+    message = "teacher msnet2D: neither embedded weights .*msnet2d.* nor a weights file"
     with pytest.raises(FileNotFoundError, match=message):
         Teacher("msnet2D", create_model("msnet2d").config)
     with pytest.raises(InputError, match=r"a teacher needs cross_entropy > 0, .* got 0\.0"):

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 import torch
@@ -118,9 +119,9 @@ def test_embedded_weights(net, tmp_path, monkeypatch):
     save_weights(net, tmp_path / "msnet2d.safetensors", card={"steps": 3})
     assert weights.embedded_models() == ["msnet2d"]
     assert weights.load_pretrained("msnet2d").config == net.config
-    assert weights.load_weights("msnet2d").config == net.config
-    with pytest.raises(FileNotFoundError, match=r"msnet3d: no such .* the package come msnet2d"):
-        weights.load_weights("msnet3d")
+    assert weights.open_weights(Path("msnet2d")).config == net.config
+    with pytest.raises(FileNotFoundError, match=r"msnet3d: neither embedded weights \(msnet2d\)"):
+        weights.open_weights("msnet3d")
     assert weights.card("msnet2d") == {"steps": 3}
     with pytest.raises(InputError, match=r"no weights of 'baseline3d' .*msnet2d"):
         weights.card("baseline3d")

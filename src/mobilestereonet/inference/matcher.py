@@ -59,8 +59,8 @@ class StereoMatcher:
                 by default its border is repeated up to the next multiples that the engine takes.
             tile: Height and width of the overlapping tiles in which a larger pair is matched,
                 margins included; None for one piece at any size. By default `TILE`, for pairs
-                above `WHOLE_PIXELS`: Full HD fits into 4 GB in one piece, and any pair does in
-                tiles.
+                above `WHOLE_PIXELS`: in tiles any pair needs what Full HD needs in one piece,
+                with msnet2d less than 4 GB.
             confidence: Results have a confidence, at no cost.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.

@@ -268,8 +268,7 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         return float(value)
     elif isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
         return value
-    if kind is Mapping:
-        wanted: Any = 'a JSON object such as {"name": 0.5}'
-    else:
-        wanted = hint if members else kind.__name__
+    wanted = str(hint) if members else kind.__name__
+    if issubclass(kind, Mapping):
+        wanted = "a JSON object"
     raise InputError(f"{name} must be {wanted}, got {value!r}")

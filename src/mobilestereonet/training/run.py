@@ -32,7 +32,7 @@ from mobilestereonet.training.callbacks import (
 )
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.weights import embedded_models, load_weights, save_weights
+from mobilestereonet.weights import embedded_models, open_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
@@ -141,7 +141,7 @@ def train(
     *,
     root: Path | None = None,
     textures: Path | None = None,
-    initial: Path | None = None,
+    initial: str | Path | None = None,
     resume: bool = False,
     max_time: str | None = None,
     precision: str = "32-true",
@@ -165,7 +165,7 @@ def train(
         folder: Folder of the run.
         root: Folder of the recipe's data set.
         textures: Folder of photographs for procedural scenes.
-        initial: Weights to start from instead of fresh ones.
+        initial: Weights to start from instead of fresh ones, see `open_weights`.
         resume: Go on from ``folder/last.ckpt``, exactly where it was written.
         max_time: Stop, with a checkpoint, after this time, written DD:HH:MM:SS; a resumed run
             has it again.
@@ -282,12 +282,12 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
     return "litlogger" not in record.getMessage()
 
 
-def _load_initial(module: StereoModule, path: Path) -> None:
+def _load_initial(module: StereoModule, weights: str | Path) -> None:
     try:
-        module.net.load_state_dict(load_weights(path).state_dict())
+        module.net.load_state_dict(open_weights(weights).state_dict())
     except RuntimeError:  # keys or shapes
         raise InputError(
-            f"{path}: its weights do not fit {module.recipe.model} with max_disparity = "
+            f"{weights}: its weights do not fit {module.recipe.model} with max_disparity = "
             f"{module.recipe.max_disparity}"
         ) from None
 

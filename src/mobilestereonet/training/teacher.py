@@ -15,7 +15,7 @@ from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.runtimes.scores import ScoresRuntime
-from mobilestereonet.weights import load_weights
+from mobilestereonet.weights import open_weights
 
 
 class Teacher:
@@ -33,9 +33,11 @@ class Teacher:
 
     def __init__(self, weights: str, student: NetConfig) -> None:
         try:
-            self.net = load_weights(weights)
+            self.net = open_weights(weights)
         except FileNotFoundError as error:
-            raise FileNotFoundError(f"the recipe's teacher: {error}") from None
+            raise FileNotFoundError(
+                f"teacher {error}: set teacher to one of these, or to where the file is now"
+            ) from None
         if self.net.config.max_disparity != student.max_disparity:
             raise InputError(
                 f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "

@@ -7,6 +7,7 @@ from mobilestereonet.weights.files import (
     embedded_models,
     load_pretrained,
     load_weights,
+    open_weights,
     save_weights,
 )
 
@@ -17,5 +18,6 @@ __all__ = [
     "load_authors_checkpoint",
     "load_pretrained",
     "load_weights",
+    "open_weights",
     "save_weights",
 ]

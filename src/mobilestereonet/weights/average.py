@@ -9,28 +9,31 @@ import torch
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.weights.files import load_weights
+from mobilestereonet.weights.files import open_weights
 
 
 def average_weights(paths: Sequence[str | Path]) -> StereoNet:
-    """A network with the mean of the weights of several files.
+    """A network with the mean of several weights.
 
     Where one training went on from the other, the mean is often better than each of them
     (Wortsman et al., "Model soups", ICML 2022). Batch norms' statistics are averaged, too.
 
     Args:
-        paths: Two weights or more of one network, as `load_weights` takes them.
+        paths: Two or more of one network: files, ours or the authors', or names of embedded
+            weights.
 
     Returns:
         The network, in eval mode.
 
     Raises:
-        FileNotFoundError: If a file does not exist.
+        FileNotFoundError: If one is neither such a file nor such a name.
         InputError: If there are fewer than two, one is damaged, or they are of different networks.
     """
     if len(paths) < 2:
-        raise InputError(f"a mean takes two weights files or more, got {len(paths)}")
-    nets = [load_weights(path) for path in paths]
+        raise InputError(
+            f"a mean takes two or more weights files or names of embedded weights, got {len(paths)}"
+        )
+    nets = [open_weights(path) for path in paths]
     for path, net in zip(paths, nets, strict=True):
         if net.config != nets[0].config:
             raise InputError(

@@ -66,8 +66,7 @@ def load_weights(path: str | Path) -> StereoNet:
 
     Args:
         path: A file of `save_weights`, or a checkpoint of the authors' release (``.ckpt``,
-            ``.tar``, ``.pth``, ``.pt``; see `load_authors_checkpoint`), or the name of a model
-            whose weights come with the package.
+            ``.tar``, ``.pth``, ``.pt``; see `load_authors_checkpoint`).
 
     Returns:
         The network in eval mode, float32.
@@ -76,14 +75,11 @@ def load_weights(path: str | Path) -> StereoNet:
         FileNotFoundError: If there is no such file.
         InputError: If the file is cut off, or not one of these.
     """
-    embedded = embedded_models()
-    path = _EMBEDDED / f"{path}.safetensors" if str(path) in embedded else Path(path)
+    path = Path(path)
     if path.suffix in _CHECKPOINT_ENDINGS:
         return load_authors_checkpoint(path)
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: no such weights file; with the package come {', '.join(embedded)}"
-        )
+        raise FileNotFoundError(f"{path}: no such weights file")
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -135,6 +131,30 @@ def load_pretrained(name: str) -> StereoNet:
         InputError: If the name is unknown, or the package has no weights for it.
     """
     return load_weights(_embedded(name))
+
+
+def open_weights(weights: str | Path) -> StereoNet:
+    """Weights to start from: those of the package, or a file's.
+
+    Args:
+        weights: The name of a model whose weights come with the package, or a file as
+            `load_weights` takes it. A name goes before a file of that name.
+
+    Returns:
+        The network in eval mode, float32.
+
+    Raises:
+        FileNotFoundError: If there are neither such embedded weights nor such a file.
+        InputError: If the file is cut off, or holds no weights.
+    """
+    embedded = embedded_models()
+    if str(weights) in embedded:
+        return load_pretrained(str(weights))
+    if not Path(weights).is_file():
+        raise FileNotFoundError(
+            f"{weights}: neither embedded weights ({', '.join(embedded)}) nor a weights file"
+        )
+    return load_weights(weights)
 
 
 def card(name: str) -> dict[str, Any]:
