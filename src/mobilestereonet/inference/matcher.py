@@ -27,7 +27,7 @@ from mobilestereonet.runtimes.choose import AUTO, open_runtime
 from mobilestereonet.runtimes.scores import use_threads
 from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.runtimes.torch import TorchRuntime
-from mobilestereonet.weights import load_pretrained, load_weights
+from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
 
 DEFAULT_MODEL = "msnet2d"
 
@@ -335,12 +335,14 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
 
     Raises:
         FileNotFoundError: If there is no such weights file.
-        InputError: If the name is unknown, there are no weights for it, or the file is damaged or
-            holds another model than ``model``.
+        InputError: If the name is unknown, there are no weights for it, or the file is damaged,
+            holds another model than ``model`` or is the name of one.
     """
     if weights is None:
         model = model or DEFAULT_MODEL
         return model, load_pretrained(model)
+    if str(weights) in embedded_models():
+        raise InputError(f"{weights} names embedded weights: it is a model, not a weights file")
     net = load_weights(weights)
     config = net.config
     # One network may have several names, so configs are compared.

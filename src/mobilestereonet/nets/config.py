@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from mobilestereonet.errors import InputError
@@ -109,6 +109,11 @@ class NetConfig:
                 f"cost volume {self.cost_volume} takes {REDUCED_CHANNELS} channels per view: "
                 "set channel_reduction=True"
             )
+
+    def differences(self, other: NetConfig) -> str:
+        """Values that another config does not share, in words."""
+        pairs = [(f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)]
+        return ", ".join(f"{name} {own}, not {its}" for name, own, its in pairs if own != its)
 
     @property
     def planes(self) -> int:

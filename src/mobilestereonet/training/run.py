@@ -77,7 +77,7 @@ class RunData(L.LightningDataModule):
                 except InputError as error:
                     if recipe.teacher is not None:
                         raise
-                    advice = "or learn from another network without any: set teacher"
+                    advice = "or set a teacher, which needs none"
                     raise InputError(f"{error}; {advice}") from None
             return pairs
 
@@ -220,7 +220,7 @@ def train(
             precision=precision,  # type: ignore[arg-type]
             max_steps=steps,
             max_epochs=-1,
-            val_check_interval=recipe.val_every,
+            val_check_interval=min(recipe.val_every, steps),
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             log_every_n_steps=min(10, steps),
@@ -283,12 +283,13 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
 
 
 def _load_initial(module: StereoModule, weights: str | Path) -> None:
+    net = open_weights(weights)
     try:
-        module.net.load_state_dict(open_weights(weights).state_dict())
+        module.net.load_state_dict(net.state_dict())
     except RuntimeError:  # keys or shapes
         raise InputError(
-            f"{weights}: its weights do not fit {module.recipe.model} with max_disparity = "
-            f"{module.recipe.max_disparity}"
+            f"{weights}: its weights do not fit the recipe's model {module.recipe.model}: "
+            + net.config.differences(module.net.config)
         ) from None
 
 

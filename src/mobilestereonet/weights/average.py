@@ -37,7 +37,8 @@ def average_weights(paths: Sequence[str | Path]) -> StereoNet:
     for path, net in zip(paths, nets, strict=True):
         if net.config != nets[0].config:
             raise InputError(
-                f"{path} and {paths[0]} hold different networks: {net.config} and {nets[0].config}"
+                f"{path} holds another network than {paths[0]}: "
+                + net.config.differences(nets[0].config)
             )
     states = [net.state_dict() for net in nets]
     for name, target in states[0].items():
