@@ -1,6 +1,7 @@
 """What an engine, a precision or an exported file changes in a network's accuracy.
 
-    python benchmarks/precision.py [ENGINE:PRECISION | FILE ...] [--root DIR] [--weights NAME]
+    python benchmarks/precision.py [ENGINE:PRECISION | FILE ...] [--root DIR]
+        [--weights NAME | FILE]
 
 Runs each on the pairs of `accuracy.py` and compares it with PyTorch in fp32. An exported file must
 take any size, and runs in its own runtime. By default: all engines and precisions on the CPU.

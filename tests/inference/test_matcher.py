@@ -225,7 +225,9 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
         StereoMatcher.from_pretrained("msnet3d", weights=path)
     with pytest.raises(InputError, match="no weights of 'baseline3d'"):
         StereoMatcher.from_pretrained("baseline3d")
-    with pytest.raises(InputError, match="msnet2d names embedded weights: it is a model, not a"):
+    with pytest.raises(
+        InputError, match="msnet2d names embedded weights: choose them by the model"
+    ):
         StereoMatcher.from_pretrained(weights="msnet2d")
     with pytest.raises(InputError, match="unknown model 'raft'"):
         StereoMatcher.from_pretrained("raft")

@@ -1,3 +1,4 @@
+import csv
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -44,6 +45,8 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
     names = {path.name for path in folder.iterdir()}
     assert names == {"recipe.json", "last.ckpt", "csv", "tensorboard", "weights.safetensors"}
     assert read_recipe(folder / "recipe.json") == RECIPE
+    figures = (folder / "csv" / "version_0" / "metrics.csv").read_text()
+    assert sum(bool(row["val/epe"]) for row in csv.DictReader(figures.splitlines())) == 1
     weights = load_file(folder / "weights.safetensors")
     saved = load_weights(folder / "weights.safetensors").state_dict()
     for name, value in module.net.named_parameters():
@@ -84,10 +87,10 @@ def test_initial_weights(tmp_path):
     after = _train(tmp_path / "run", recipe, initial=initial).net.state_dict()
     for name in ("features.first.0.0.weight", "heads.1.score.weight"):
         assert torch.allclose(after[name], before[name], atol=1e-7)
-    with pytest.raises(InputError, match=r"do not fit .*table3a-v1-v1: max_disparity 32, not 64"):
+    with pytest.raises(InputError, match=r"does not fit .*v1-v1: max_disparity 32, not 64$"):
         _train(tmp_path / "other", replace(recipe, max_disparity=64), initial=initial)
     with pytest.raises(
-        InputError, match=r"msnet2d: its .* not fit .*: .*max_disparity 192, not 32"
+        InputError, match=r"does not fit .*v1-v1: it holds msnet2d; set model=msnet2d$"
     ):
         _train(tmp_path / "other", recipe, initial="msnet2d")
     assert not (tmp_path / "other").exists()

@@ -29,7 +29,7 @@ def test_every_weight_is_the_mean(files):
 def test_command(msnet, files, tmp_path):
     output = tmp_path / "mean.safetensors"
     code, out, _ = msnet("average", *files[:2], "-o", output)
-    assert (code, out) == (0, f"{output}: mean of 2 weights files\n")
+    assert (code, out) == (0, f"{output}: mean of 2 networks\n")
     expected = average_weights(files[:2]).state_dict()
     for name, value in load_weights(output).state_dict().items():
         torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-3)  # half precision

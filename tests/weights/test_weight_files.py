@@ -122,6 +122,8 @@ def test_embedded_weights(net, tmp_path, monkeypatch):
     assert weights.open_weights(Path("msnet2d")).config == net.config
     with pytest.raises(FileNotFoundError, match=r"msnet3d: neither embedded weights \(msnet2d\)"):
         weights.open_weights("msnet3d")
+    with pytest.raises(FileNotFoundError, match="msnet2d: no such weights file"):
+        weights.load_weights("msnet2d")
     assert weights.card("msnet2d") == {"steps": 3}
     with pytest.raises(InputError, match=r"no weights of 'baseline3d' .*msnet2d"):
         weights.card("baseline3d")

@@ -10,7 +10,7 @@ import typer
 
 def average(
     weights: Annotated[
-        list[Path], typer.Argument(help="Of one network: weights files, msnet2d or msnet3d.")
+        list[Path], typer.Argument(help="Weights files or names of embedded weights.")
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File to write, ends in .safetensors.")
@@ -20,4 +20,4 @@ def average(
     from mobilestereonet.weights import average_weights, save_weights
 
     save_weights(average_weights(weights), output)
-    print(f"{output}: mean of {len(weights)} weights files")
+    print(f"{output}: mean of {len(weights)} networks")

@@ -29,7 +29,7 @@ def train(
     weights: Annotated[
         Path | None,
         typer.Option(
-            help="Weights to start from: a file, ours or the authors', msnet2d or msnet3d."
+            help="Weights to start from: msnet2d or msnet3d, or a file, ours or the authors'."
         ),
     ] = None,
     resume: Annotated[

@@ -19,7 +19,7 @@ from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
-from mobilestereonet.nets import NetConfig, StereoNet, list_models, model_config
+from mobilestereonet.nets import StereoNet, is_model, model_name
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
 from mobilestereonet.runtimes.base import ConfidentRuntime, Runtime
@@ -74,7 +74,7 @@ class StereoMatcher:
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         if isinstance(engine, StereoNet):
-            model = model or _name(engine.config)
+            model = model or model_name(engine.config)
             engine = TorchRuntime(engine)
         if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
             raise InputError(
@@ -342,24 +342,13 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
         model = model or DEFAULT_MODEL
         return model, load_pretrained(model)
     if str(weights) in embedded_models():
-        raise InputError(f"{weights} names embedded weights: it is a model, not a weights file")
+        raise InputError(
+            f"{weights} names embedded weights: choose them by the model, without a weights file"
+        )
     net = load_weights(weights)
     config = net.config
-    # One network may have several names, so configs are compared.
-    if model is not None and _config_of(model, config) != config:
+    if model is not None and not is_model(config, model):
         raise InputError(
-            f"{weights}: holds a {_name(config)} network, not {model}: leave the model out"
+            f"{weights}: holds a {model_name(config)} network, not {model}: leave the model out"
         )
-    return model or _name(config), net
-
-
-def _name(config: NetConfig) -> str:
-    """The named model that a config is, at any maximum disparity, with either estimator."""
-    for name in list_models():
-        if _config_of(name, config) == config:
-            return name
-    return "custom"
-
-
-def _config_of(name: str, like: NetConfig) -> NetConfig:
-    return model_config(name, max_disparity=like.max_disparity, estimator=like.estimator)
+    return model or model_name(config), net

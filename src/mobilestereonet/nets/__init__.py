@@ -2,13 +2,15 @@
 
 from mobilestereonet.nets.config import NetConfig
 from mobilestereonet.nets.stereo_net import SIZE_MULTIPLE, StereoNet
-from mobilestereonet.nets.zoo import create_model, list_models, model_config
+from mobilestereonet.nets.zoo import create_model, is_model, list_models, model_config, model_name
 
 __all__ = [
     "SIZE_MULTIPLE",
     "NetConfig",
     "StereoNet",
     "create_model",
+    "is_model",
     "list_models",
     "model_config",
+    "model_name",
 ]

@@ -94,6 +94,21 @@ def model_config(name: str, **overrides: Any) -> NetConfig:
         raise InputError(f"model {name}: {error}") from None
 
 
+def is_model(config: NetConfig, name: str) -> bool:
+    """Whether a config is a named model's, at any maximum disparity, with either estimator.
+
+    Raises:
+        InputError: If the name is unknown.
+    """
+    same = {"max_disparity": config.max_disparity, "estimator": config.estimator}
+    return model_config(name, **same) == config
+
+
+def model_name(config: NetConfig) -> str:
+    """The first named model that a config is, see `is_model`; "custom" if it is none."""
+    return next((name for name in _MODELS if is_model(config, name)), "custom")
+
+
 def create_model(name: str, **overrides: Any) -> StereoNet:
     """A named network with fresh weights, in training mode.
 

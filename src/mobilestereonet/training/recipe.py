@@ -50,7 +50,8 @@ class Recipe:
             ground truth trains.
         cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1, against
             the ground truth and against a teacher.
-        val_every: Steps between two validations; a shorter run validates at its end.
+        val_every: Steps between two validations; a run of fewer validates after its
+            last one.
         save_every: Steps between two checkpoints.
         volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
             volume, which reaches the features on a short way.
@@ -270,5 +271,5 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         return value
     wanted = str(hint) if members else kind.__name__
     if issubclass(kind, Mapping):
-        wanted = "a JSON object"
+        wanted = 'a JSON object such as {"name": 1}'
     raise InputError(f"{name} must be {wanted}, got {value!r}")

@@ -22,6 +22,7 @@ from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets import is_model, model_name
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,
@@ -180,7 +181,8 @@ def train(
         The module, with the averaged weights.
 
     Raises:
-        FileNotFoundError: If a run to resume has lost its recipe, or the teacher's file is gone.
+        FileNotFoundError: If a run to resume has lost its recipe, or the initial weights or the
+            teacher's are not there.
         InputError: If the folder holds another run, or none to resume; if the initial weights do
             not fit; if the teacher searches other disparities; if Lightning refuses the precision,
             the devices or the time.
@@ -283,14 +285,17 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
 
 
 def _load_initial(module: StereoModule, weights: str | Path) -> None:
-    net = open_weights(weights)
+    net, model = open_weights(weights), module.recipe.model
     try:
         module.net.load_state_dict(net.state_dict())
     except RuntimeError:  # keys or shapes
-        raise InputError(
-            f"{weights}: its weights do not fit the recipe's model {module.recipe.model}: "
-            + net.config.differences(module.net.config)
-        ) from None
+        found = model_name(net.config)
+        if is_model(net.config, model) or found == "custom":
+            config = replace(net.config, estimator=module.net.config.estimator)
+            reason = config.differences(module.net.config)
+        else:
+            reason = f"it holds {found}; set model={found}"
+        raise InputError(f"{weights}: does not fit the recipe's {model}: {reason}") from None
 
 
 def _steps(recipe: Recipe, data: RunData, global_batch: int) -> int:
