@@ -50,8 +50,7 @@ class Recipe:
             ground truth trains.
         cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1, against
             the ground truth and against a teacher.
-        val_every: Steps between two validations; a run of fewer validates after its
-            last one.
+        val_every: Steps between two validations; a run of fewer validates after its last.
         save_every: Steps between two checkpoints.
         volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
             volume, which reaches the features on a short way.

@@ -138,8 +138,8 @@ def open_weights(weights: str | Path) -> StereoNet:
 
     Args:
         weights: The name of a model whose weights come with the package, or a file as
-            `load_weights` takes it. A name goes before a file of
-            that name, which its absolute path reaches.
+            `load_weights` takes it. A name goes before a file of that name, which its absolute
+            path reaches.
 
     Returns:
         The network in eval mode, float32.
