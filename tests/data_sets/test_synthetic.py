@@ -287,6 +287,24 @@ def test_textures_come_from_a_folder(tmp_path, scenes):
     assert reddish(scenes.batch(range(6))) < 0.1
 
 
+def test_large_near_surfaces_can_be_bare(scenes):
+    bare = ProceduralScenes(replace(SMALL, bare=1.0))
+    for index in range(8):
+        before, after = scenes.layout(index), bare.layout(index)
+        change = after.surfaces.contrast / before.surfaces.contrast
+        assert ((change == 1) | ((change > 0.009) & (change < 0.101))).all()
+        faded = change < 1
+        assert faded.any() and not faded.all()
+        centre, axes = before.surfaces.centre, before.surfaces.axes
+        depth = centre[:, 2].clip(0.1)
+        # What is faded spans a quarter of the view or more.
+        across = 2 * np.linalg.norm(axes, axis=1)[:, :2].min(1) * before.focal / depth
+        assert (across[faded] > 0.23 * SMALL.width).all()
+        # Geometry, textures and colours stay.
+        for name in ("centre", "axes", "texture", "colour", "density"):
+            assert np.array_equal(getattr(after.surfaces, name), getattr(before.surfaces, name))
+
+
 def test_a_folder_without_images_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no readable image below"):
         ProceduralScenes(SMALL, textures=tmp_path)
@@ -301,6 +319,7 @@ def test_a_folder_without_images_is_an_error(tmp_path):
         ({"height": 0}, "height must be at least 1"),
         ({"min_disparity": 60.0}, "min_disparity <= max_disparity"),
         ({"texture_size": 100}, "power of two, got 100"),
+        ({"bare": 1.5}, "bare must be from 0 to 1, got 1.5"),
         ({"seed": -1}, "seed must not be negative"),
         ({"objects": (5, 2)}, "objects must be a range"),
         ({"kinds": {"moon": 1.0}}, "weights for some of room, street"),

@@ -55,7 +55,7 @@ def test_two_networks(tmp_path, monkeypatch):
     assert [row.model for row in rows] == MODELS and rows[0] == first
 
     # The figures are those of the exported weights on the validation scenes.
-    _, scenes = RunData(RECIPE, None, None, 0).sources("cpu")
+    scenes = RunData(RECIPE, 0).validation("cpu")
     for row in rows:
         run = tmp_path / row.model
         net = load_weights(run / "weights.safetensors")

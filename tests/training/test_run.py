@@ -74,8 +74,9 @@ def test_pairs_without_ground_truth_are_refused_before_the_first_step(tmp_path):
     for view in ("left", "right"):
         write_png(tmp_path / "pairs" / view / "0.png", np.zeros((32, 48, 3), np.uint8))
     with pytest.raises(InputError, match=r"no ground truth: .*data_options\.disparity"):
-        _train(tmp_path / "run", replace(RECIPE, data="folder"), root=tmp_path / "pairs")
-    assert not (tmp_path / "run" / "last.ckpt").exists()
+        recipe = replace(RECIPE, data="folder", root=str(tmp_path / "pairs"))
+        _train(tmp_path / "run", recipe)
+    assert not (tmp_path / "run").exists()
 
 
 def test_initial_weights(tmp_path):
@@ -83,16 +84,16 @@ def test_initial_weights(tmp_path):
     torch.manual_seed(99)
     save_weights(create_model(RECIPE.model, max_disparity=32), initial, dtype=torch.float32)
     before = load_file(initial)
-    recipe = replace(RECIPE, steps=1, lr=1e-9, ema=0.0)
-    after = _train(tmp_path / "run", recipe, initial=initial).net.state_dict()
+    recipe = replace(RECIPE, steps=1, lr=1e-9, ema=0.0, weights=str(initial))
+    after = _train(tmp_path / "run", recipe).net.state_dict()
     for name in ("features.first.0.0.weight", "heads.1.score.weight"):
         assert torch.allclose(after[name], before[name], atol=1e-7)
     with pytest.raises(InputError, match=r"does not fit .*v1-v1: max_disparity 32, not 64$"):
-        _train(tmp_path / "other", replace(recipe, max_disparity=64), initial=initial)
+        _train(tmp_path / "other", replace(recipe, max_disparity=64))
     with pytest.raises(
         InputError, match=r"does not fit .*v1-v1: it holds msnet2d; set model=msnet2d$"
     ):
-        _train(tmp_path / "other", recipe, initial="msnet2d")
+        _train(tmp_path / "other", replace(recipe, weights="msnet2d"))
     assert not (tmp_path / "other").exists()
 
 
@@ -118,7 +119,7 @@ def test_wrong_number_of_processes(tmp_path, monkeypatch):
 
 
 def test_every_process_validates_something():
-    data = RunData(replace(RECIPE, val_scenes=3), None, None, 0)
+    data = RunData(replace(RECIPE, val_scenes=3), 0)
     shares = []
     for rank in range(2):
         data.trainer = SimpleNamespace(
@@ -133,7 +134,8 @@ def test_every_process_validates_something():
 
 
 def test_validation_scenes_are_not_trained_on():
-    train_scenes, val_scenes = RunData(RECIPE, None, None, 0).sources("cpu")
+    data = RunData(RECIPE, 0)
+    train_scenes, val_scenes = data.training("cpu"), data.validation("cpu")
     assert not torch.allclose(train_scenes[0].left, val_scenes[0].left, atol=0.1)
 
 
@@ -149,14 +151,29 @@ def test_files_of_any_size(tmp_path):
     options = {"disparity": "disparity/*.pfm"}
     recipe = replace(
         RECIPE, data="folder", data_options=options, val_options=options, steps=None, epochs=2,
-        batch_size=2, val_every=1,
+        batch_size=2, val_every=1, root=str(tmp_path / "data"),
     )  # fmt: skip
-    module = _train(tmp_path / "run", recipe, root=tmp_path / "data")
+    module = _train(tmp_path / "run", recipe)
     assert module.steps == 3  # two passes over three pairs, two at a time
     log = (tmp_path / "run/csv/version_0/metrics.csv").read_text().splitlines()
     column = log[0].split(",").index("val/epe")
     figures = [float(row.split(",")[column]) for row in log[1:] if row.split(",")[column]]
     assert len(figures) == 3 and all(0 < figure < 32 for figure in figures)
+    # The advice on a teacher is for training pairs.
+    with pytest.raises(InputError, match=r"no ground truth.* or set a teacher"):
+        RunData(replace(recipe, data_options={}), 0)
+    with pytest.raises(InputError, match="no ground truth") as refused:
+        RunData(replace(recipe, val_options={}), 0)
+    assert "teacher" not in str(refused.value)
+
+
+def test_a_recipe_finds_its_files_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = replace(RECIPE, root="pairs", textures="/photographs", weights="a.safetensors")
+    recipe = replace(recipe, teacher="msnet2d", cross_entropy=1.0).with_absolute_paths()
+    here = str(tmp_path)
+    paths = (recipe.root, recipe.textures, recipe.weights, recipe.teacher)
+    assert paths == (f"{here}/pairs", "/photographs", f"{here}/a.safetensors", "msnet2d")
 
 
 def test_time_limit_starts_anew():

@@ -155,20 +155,20 @@ def test_a_run_on_files_without_ground_truth(weights, tmp_path):
     recipe = replace(
         RECIPE,
         data="folder",
+        root=str(tmp_path),
         teacher=str(weights),
         batch_size=2,
         val_scenes=1,
         scenes=SceneConfig(height=48, width=80, noise_textures=2, max_disparity=31.0),
         augment=AugmentConfig(height=32, width=64, noise=0.02),
     )
-    module = train(recipe, tmp_path / "run", root=tmp_path, accelerator="cpu", progress=False)
+    module = train(recipe, tmp_path / "run", accelerator="cpu", progress=False)
     assert module.skipped == 0
     assert (tmp_path / "run" / "weights.safetensors").is_file()
     with pytest.raises(InputError, match="ground truth"):
         train(
             replace(recipe, teacher=None),
             tmp_path / "other",
-            root=tmp_path,
             accelerator="cpu",
             progress=False,
         )

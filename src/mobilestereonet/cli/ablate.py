@@ -52,6 +52,8 @@ def ablate(
     values = parse_assignments(assignments or [])
     if steps is not None:
         values |= {"steps": steps, "epochs": None}
+    paths = {"root": root, "textures": textures}
+    values |= {name: str(path) for name, path in paths.items() if path is not None}
     chosen = override(get_recipe(recipe), values)
     names = [model.strip() for model in models.split(",")] if models else table_models(table)
     keep_freed_memory()
@@ -60,8 +62,6 @@ def ablate(
         names,
         chosen,
         folder,
-        root=root,
-        textures=textures,
         precision=precision,
         accelerator=accelerator,
         workers=workers,

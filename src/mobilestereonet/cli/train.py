@@ -65,13 +65,13 @@ def train(
         chosen = read_recipe(folder / "recipe.json")
     else:
         chosen = get_recipe(recipe or "procedural")
+    values = parse_assignments(assignments or [])
+    paths = {"root": root, "textures": textures, "weights": weights}
+    values |= {name: str(path) for name, path in paths.items() if path is not None}
     keep_freed_memory()
     run(
-        override(chosen, parse_assignments(assignments or [])),
+        override(chosen, values),
         folder,
-        root=root,
-        textures=textures,
-        initial=weights,
         resume=resume,
         max_time=max_time,
         precision=precision,

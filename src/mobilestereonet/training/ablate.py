@@ -59,8 +59,6 @@ def ablate(
     recipe: Recipe,
     folder: Path,
     *,
-    root: Path | None = None,
-    textures: Path | None = None,
     precision: str = "32-true",
     accelerator: str = "auto",
     workers: int = 0,
@@ -76,8 +74,6 @@ def ablate(
         recipe: How each of them is trained; its own model does not matter.
         folder: Gets the folder of a run for each network, and ``ablation.json``: the recipe and
             the rows so far.
-        root: Folder of the recipe's data set.
-        textures: Folder of photographs for procedural scenes.
         precision: See `train`, as for the other arguments.
         accelerator: Likewise.
         workers: Likewise.
@@ -91,6 +87,7 @@ def ablate(
     """
     for model in models:
         model_config(model)  # a wrong name is told now, not after the runs before it
+    recipe = recipe.with_absolute_paths()
     rows: list[AblationRow] = []
     for model in models:
         own, run = replace(recipe, model=model), folder / model
@@ -101,8 +98,6 @@ def ablate(
             train(
                 own,
                 run,
-                root=root,
-                textures=textures,
                 resume=(run / "last.ckpt").is_file(),
                 precision=precision,
                 accelerator=accelerator,
@@ -110,7 +105,7 @@ def ablate(
                 progress=progress,
             )
             device = "cuda" if accelerator != "cpu" and torch.cuda.is_available() else "cpu"
-            _, pairs = RunData(own, root, textures, workers).sources(device)
+            pairs = RunData(own, workers).validation(device)
             _write_json(score, asdict(_score(own, run, pairs, device)))
         rows.append(AblationRow(**json.loads(score.read_text("utf-8"))))
         record = {"recipe": asdict(recipe), "rows": [asdict(row) for row in rows]}

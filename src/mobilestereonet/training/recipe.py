@@ -17,6 +17,7 @@ import numpy as np
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
+from mobilestereonet.weights import embedded_models
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,9 @@ class Recipe:
         estimator: How the trained network estimates a disparity, see `NetConfig`; training itself
             takes the mean.
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
+        root: Folder of the data set.
+        textures: Folder of photographs for procedural scenes.
+        weights: Weights to start from instead of fresh ones, see `open_weights`.
         data_options: Options of the data set's scanner, such as its split.
         val_options: The same for validation; None validates on procedural scenes.
         scenes: What procedural scenes look like, their size and seed.
@@ -67,6 +71,9 @@ class Recipe:
     max_disparity: int = 192
     estimator: str = "mean"
     data: str = "procedural"
+    root: str | None = None
+    textures: str | None = None
+    weights: str | None = None
     data_options: dict[str, Any] = field(default_factory=dict)
     val_options: dict[str, Any] | None = None
     scenes: SceneConfig = field(default_factory=SceneConfig)
@@ -126,6 +133,19 @@ class Recipe:
         """Factor of the learning rate after ``share`` (0..1) of the run."""
         positions, factors = zip(*self.schedule, strict=True)
         return float(np.interp(share, positions, factors))
+
+    def with_absolute_paths(self) -> Recipe:
+        """The same recipe, which finds its files from any folder."""
+        named = embedded_models()
+        paths = {
+            "root": self.root,
+            "textures": self.textures,
+            "weights": None if self.weights in named else self.weights,
+            "teacher": None if self.teacher in named else self.teacher,
+        }
+        return override(
+            self, {name: str(Path(path).absolute()) for name, path in paths.items() if path}
+        )
 
     def to_json(self) -> str:
         """The whole recipe as indented JSON."""

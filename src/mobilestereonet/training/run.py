@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from mobilestereonet.atomic import make_folder, write_atomically
 from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
+from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import is_model, model_name
@@ -33,7 +34,7 @@ from mobilestereonet.training.callbacks import (
 )
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.weights import embedded_models, open_weights, save_weights
+from mobilestereonet.weights import open_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
@@ -44,58 +45,49 @@ class RunData(L.LightningDataModule):
 
     Args:
         recipe: The recipe.
-        root: Folder of the data set; None for procedural scenes.
-        textures: Folder of photographs for procedural scenes.
         workers: Processes that read files; procedural scenes are made on the training device.
+
+    Raises:
+        FileNotFoundError: If the data set is not in the recipe's root.
+        InputError: If the recipe has no root, or the files no ground truth where it is needed.
     """
 
-    def __init__(
-        self, recipe: Recipe, root: Path | None, textures: Path | None, workers: int
-    ) -> None:
+    def __init__(self, recipe: Recipe, workers: int) -> None:
         super().__init__()
         self.recipe = recipe
-        self.root = root
-        self.textures = textures
         self.workers = 0 if recipe.data == "procedural" else workers
+        self._train_files: StereoDataSet | None = None
+        self._val_files: StereoDataSet | None = None
+        if recipe.data == "procedural":
+            return
+        if recipe.root is None:
+            raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
+        self._train_files = open_data_set(recipe.data, Path(recipe.root), **recipe.data_options)
+        if recipe.teacher is None:
+            self._train_files.require_truth(otherwise="or set a teacher, which needs none")
+        if recipe.val_options is not None:
+            self._val_files = open_data_set(recipe.data, Path(recipe.root), **recipe.val_options)
+            self._val_files.require_truth()
 
-    def sources(
-        self, device: torch.device | str
-    ) -> tuple[Dataset[StereoSample], Dataset[StereoSample]]:
-        """Training and validation pairs; procedural scenes are rendered on ``device``."""
-        recipe = self.recipe
+    def training(self, device: torch.device | str) -> Dataset[StereoSample]:
+        """Training pairs; procedural scenes are rendered on ``device``."""
+        return self._train_files or self._scenes(0, self.recipe.scenes.length, device)
 
-        def scenes(offset: int, length: int) -> ProceduralScenes:
-            config = replace(recipe.scenes, seed=recipe.scenes.seed + offset, length=length)
-            return ProceduralScenes(config, textures=self.textures, device=device)
+    def validation(self, device: torch.device | str) -> Dataset[StereoSample]:
+        """Validation pairs; procedural scenes are rendered on ``device``."""
+        return self._val_files or self._scenes(_VALIDATION_SEED, self.recipe.val_scenes, device)
 
-        def files(options: dict[str, Any], *, truth: bool) -> Dataset[StereoSample]:
-            if self.root is None:
-                raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
-            pairs = open_data_set(recipe.data, self.root, **options)
-            if truth:
-                try:
-                    pairs.require_truth()
-                except InputError as error:
-                    if recipe.teacher is not None:
-                        raise
-                    advice = "or set a teacher, which needs none"
-                    raise InputError(f"{error}; {advice}") from None
-            return pairs
-
-        procedural = recipe.data == "procedural"
-        train = (
-            scenes(0, recipe.scenes.length)
-            if procedural
-            else files(recipe.data_options, truth=recipe.teacher is None)
-        )
-        if recipe.val_options is not None and not procedural:
-            return train, files(recipe.val_options, truth=True)
-        return train, scenes(_VALIDATION_SEED, recipe.val_scenes)
+    def _scenes(self, offset: int, length: int, device: torch.device | str) -> ProceduralScenes:
+        scenes, textures = self.recipe.scenes, self.recipe.textures
+        config = replace(scenes, seed=scenes.seed + offset, length=length)
+        photographs = None if textures is None else Path(textures)
+        return ProceduralScenes(config, textures=photographs, device=device)
 
     def setup(self, stage: str) -> None:
         """Open the data for the training device."""
         assert self.trainer is not None
-        self.train_source, self.val_source = self.sources(self.trainer.strategy.root_device)
+        device = self.trainer.strategy.root_device
+        self.train_source, self.val_source = self.training(device), self.validation(device)
 
     def train_dataloader(self) -> DataLoader[TrainingBatch]:
         """Batches from the current step on."""
@@ -140,9 +132,6 @@ def train(
     recipe: Recipe,
     folder: Path,
     *,
-    root: Path | None = None,
-    textures: Path | None = None,
-    initial: str | Path | None = None,
     resume: bool = False,
     max_time: str | None = None,
     precision: str = "32-true",
@@ -164,9 +153,6 @@ def train(
     Args:
         recipe: What to train, on what, how.
         folder: Folder of the run.
-        root: Folder of the recipe's data set.
-        textures: Folder of photographs for procedural scenes.
-        initial: Weights to start from instead of fresh ones, see `open_weights`.
         resume: Go on from ``folder/last.ckpt``, exactly where it was written.
         max_time: Stop, with a checkpoint, after this time, written DD:HH:MM:SS; a resumed run
             has it again.
@@ -181,29 +167,27 @@ def train(
         The module, with the averaged weights.
 
     Raises:
-        FileNotFoundError: If a run to resume has lost its recipe, or the initial weights or the
-            teacher's are not there.
-        InputError: If the folder holds another run, or none to resume; if the initial weights do
-            not fit; if the teacher searches other disparities; if Lightning refuses the precision,
-            the devices or the time.
+        FileNotFoundError: If a run to resume has lost its recipe, or a file or folder that the
+            recipe names is not there.
+        InputError: If the folder holds another run, or none to resume; if the data or the first
+            weights do not fit; if the teacher searches other disparities; if Lightning refuses the
+            precision, the devices or the time.
     """
     last = folder / "last.ckpt"
     if resume and not last.is_file():
         raise InputError(f"nothing to resume: {last} is not there; start without --resume")
     if not resume and last.exists():
         raise InputError(f"{folder} holds a run already: --resume it, or choose another folder")
-    if recipe.teacher is not None and recipe.teacher not in embedded_models():
-        # So that a resumed run finds it from any folder.
-        recipe = replace(recipe, teacher=str(Path(recipe.teacher).absolute()))
-    data = RunData(recipe, root, textures, workers)
+    recipe = recipe.with_absolute_paths()
+    data = RunData(recipe, workers)
     ranks = devices * num_nodes
     if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:
         raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
     global_batch = recipe.batch_size * ranks
     steps = recipe.steps or _steps(recipe, data, global_batch)
     module = StereoModule(recipe, steps, global_batch)
-    if initial is not None:
-        _load_initial(module, initial)
+    if recipe.weights is not None and not resume:
+        _load_first(module, recipe.weights)
     cuda = accelerator != "cpu" and torch.cuda.is_available()
     average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
     make_folder(folder)
@@ -284,7 +268,7 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
     return "litlogger" not in record.getMessage()
 
 
-def _load_initial(module: StereoModule, weights: str | Path) -> None:
+def _load_first(module: StereoModule, weights: str) -> None:
     net, model = open_weights(weights), module.recipe.model
     try:
         module.net.load_state_dict(net.state_dict())
@@ -300,6 +284,6 @@ def _load_initial(module: StereoModule, weights: str | Path) -> None:
 
 def _steps(recipe: Recipe, data: RunData, global_batch: int) -> int:
     """Steps of a recipe that counts in passes over its data."""
-    pairs = len(data.sources("cpu")[0])  # type: ignore[arg-type]
+    pairs = len(data.training("cpu"))  # type: ignore[arg-type]
     assert recipe.epochs is not None
     return max(1, recipe.epochs * pairs // global_batch)

@@ -102,14 +102,18 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         """Number of frames that the complete set has; None if there is no such number."""
         return self.splits[self.split]
 
-    def require_truth(self) -> None:
+    def require_truth(self, otherwise: str = "") -> None:
         """Refuse pairs without ground truth, before any work is done with them.
+
+        Args:
+            otherwise: Another way out, for the message.
 
         Raises:
             InputError: If they have none; the message names the way out.
         """
         if self.frames[0].disparity is None:
-            raise InputError(f"{self} has no ground truth: {self.truth_advice()}")
+            ways_out = "; ".join(filter(None, [self.truth_advice(), otherwise]))
+            raise InputError(f"{self} has no ground truth: {ways_out}")
 
     def truth_advice(self) -> str:
         """How to get ground truth where this set has none, for a message."""

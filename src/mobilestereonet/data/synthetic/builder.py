@@ -78,6 +78,7 @@ class Builder:
         near: Their distance, in metres.
         pitch: Range of the camera's pitch (down is positive), in radians.
         objects: Fewest and most things that float in a scene of clutter.
+        bare: Chance of each large near surface to have next to no texture.
         noise: How many textures of the bank are noise.
         photographs: How many textures of the bank are photographs.
         masks: How many masks there are.
@@ -92,6 +93,7 @@ class Builder:
         pitch: tuple[float, float],
         objects: tuple[int, int],
         *,
+        bare: float,
         noise: int,
         photographs: int,
         masks: int,
@@ -99,7 +101,7 @@ class Builder:
         self.rng = rng
         self.height, self.width = size
         self.near, self.nearest = near, nearest
-        self.objects = objects
+        self.objects, self.bare = objects, bare
         self.noise, self.photographs, self.masks = noise, photographs, masks
         # A long focal length with a principal point off the centre is a crop of a wide image.
         zoom = self.log_uniform(0.55, 1.8)
@@ -214,6 +216,8 @@ class Builder:
             field.name: np.concatenate([getattr(part.material, field.name) for part in self.parts])
             for field in fields(Material)
         }
+        if self.bare:
+            looks["contrast"] *= self._fade(centre, axes)
         # A quadric's texture goes around it by its mean radius and along its axis.
         length = np.linalg.norm(axes, axis=1)
         extent = np.where(
@@ -233,6 +237,15 @@ class Builder:
             **extras,
             **looks,
         )
+
+    def _fade(self, centre: Floats, axes: Floats) -> Floats:
+        """Factors on the contrast of surfaces, (n,): small for some of those large and near."""
+        rng, count = self.rng, len(centre)
+        depth = np.maximum(centre[:, 2], 0.5 * self.near)
+        half = np.linalg.norm(axes, axis=1)[:, :2].min(1) * self.focal / depth
+        near = self.focal * self.baseline / depth > self.nearest / 8
+        bare = near & (half > 0.12 * self.width) & (rng.random(count) < self.bare)
+        return np.where(bare, self.log_uniform(0.01, 0.1, count), 1.0)
 
     def pick_masks(self, count: int, *kinds: int) -> Ints:
         """Indices of masks, of any or of the given kinds."""
