@@ -287,22 +287,27 @@ def test_textures_come_from_a_folder(tmp_path, scenes):
     assert reddish(scenes.batch(range(6))) < 0.1
 
 
-def test_large_near_surfaces_can_be_bare(scenes):
-    bare = ProceduralScenes(replace(SMALL, bare=1.0))
-    for index in range(8):
-        before, after = scenes.layout(index), bare.layout(index)
-        change = after.surfaces.contrast / before.surfaces.contrast
-        assert ((change == 1) | ((change > 0.009) & (change < 0.101))).all()
-        faded = change < 1
-        assert faded.any() and not faded.all()
-        centre, axes = before.surfaces.centre, before.surfaces.axes
-        depth = centre[:, 2].clip(0.1)
-        # What is faded spans a quarter of the view or more.
-        across = 2 * np.linalg.norm(axes, axis=1)[:, :2].min(1) * before.focal / depth
-        assert (across[faded] > 0.23 * SMALL.width).all()
-        # Geometry, textures and colours stay.
-        for name in ("centre", "axes", "texture", "colour", "density"):
-            assert np.array_equal(getattr(after.surfaces, name), getattr(before.surfaces, name))
+def test_large_near_surfaces_can_be_textureless(scenes):
+    shares = []
+    for chance in (0.5, 1.0):
+        bare = ProceduralScenes(replace(SMALL, textureless=chance))
+        faded, large, far = [], [], []
+        for index in range(12):
+            before, after = scenes.layout(index).surfaces, bare.layout(index).surfaces
+            change = after.contrast / before.contrast
+            assert ((change == 1) | ((change > 0.009) & (change < 0.101))).all()
+            depth = before.centre[:, 2].clip(1e-6)
+            half = np.linalg.norm(before.axes, axis=1)[:, :2].min(1)
+            faded.append(change < 1)
+            large.append(half * scenes.layout(index).focal / depth > 0.13 * SMALL.width)
+            far.append(depth > 8 * 8.0)  # no layout's nearest things are beyond 8 m
+            for name in ("centre", "axes", "texture", "colour", "density"):
+                assert np.array_equal(getattr(after, name), getattr(before, name))
+        faded, large, far = (np.concatenate(each) for each in (faded, large, far))
+        assert not faded[far].any() and (large & far).any()
+        shares.append(faded[large & ~far].mean())
+        assert faded[~large].mean() < 0.01
+    assert 0.4 * shares[1] < shares[0] < 0.6 * shares[1] and shares[1] > 0.8
 
 
 def test_a_folder_without_images_is_an_error(tmp_path):
@@ -319,7 +324,7 @@ def test_a_folder_without_images_is_an_error(tmp_path):
         ({"height": 0}, "height must be at least 1"),
         ({"min_disparity": 60.0}, "min_disparity <= max_disparity"),
         ({"texture_size": 100}, "power of two, got 100"),
-        ({"bare": 1.5}, "bare must be from 0 to 1, got 1.5"),
+        ({"textureless": 1.5}, "textureless must be from 0 to 1, got 1.5"),
         ({"seed": -1}, "seed must not be negative"),
         ({"objects": (5, 2)}, "objects must be a range"),
         ({"kinds": {"moon": 1.0}}, "weights for some of room, street"),

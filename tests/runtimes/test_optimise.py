@@ -60,9 +60,8 @@ def slices_of(monkeypatch, size):
     monkeypatch.setattr(fused, "MIN_ROWS", 1)
 
 
-# After each rewriting in the two that need all of them, in the others after the last.
 @pytest.mark.parametrize("name", NAMES)
-def test_each_rewriting_keeps_the_result(name, monkeypatch):
+def test_rewritings_keep_the_result(name, monkeypatch):
     slices_of(monkeypatch, 10000)
     net, left, right = network(name)
     net, left, right = net.double(), left.double(), right.double()
@@ -71,6 +70,7 @@ def test_each_rewriting_keeps_the_result(name, monkeypatch):
         assert 0.5 < expected.std() < 12  # neither one value nor the ends of the range everywhere
         for step in STEPS:
             step(net)
+            # One by one in the final networks alone: it takes long.
             if name in ("msnet2d", "msnet3d") or step is STEPS[-1]:
                 torch.testing.assert_close(net(left, right), expected, rtol=0, atol=1e-6)
     assert not any(isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d) for module in net.modules())

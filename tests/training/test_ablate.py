@@ -2,10 +2,12 @@ import json
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from mobilestereonet.cli.main import main
+from mobilestereonet.data import write_png
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
@@ -49,13 +51,18 @@ def test_two_networks(tmp_path, monkeypatch):
     train = module.train
     monkeypatch.setattr(module, "train", counted)
     options = {"accelerator": "cpu", "progress": False}
-    first = next(ablate(MODELS, RECIPE, tmp_path, **options))
-    rows = list(ablate(MODELS, RECIPE, tmp_path, **options))
+    write_png(tmp_path / "photographs" / "0.png", np.full((32, 32, 3), 200, np.uint8))
+    monkeypatch.chdir(tmp_path)
+    relative = replace(RECIPE, textures="photographs")
+    first = next(ablate(MODELS, relative, tmp_path, **options))
+    monkeypatch.chdir("/")
+    recipe = replace(RECIPE, textures=str(tmp_path / "photographs"))
+    rows = list(ablate(MODELS, recipe, tmp_path, **options))
     assert trained == [(MODELS[0], False), (MODELS[1], False)]
     assert [row.model for row in rows] == MODELS and rows[0] == first
 
     # The figures are those of the exported weights on the validation scenes.
-    scenes = RunData(RECIPE, 0).validation("cpu")
+    scenes = RunData(recipe, 0).validation("cpu")
     for row in rows:
         run = tmp_path / row.model
         net = load_weights(run / "weights.safetensors")
@@ -77,10 +84,10 @@ def test_two_networks(tmp_path, monkeypatch):
 
     # What was scored is not trained again, what was started is resumed.
     (tmp_path / MODELS[1] / "score.json").unlink()
-    assert list(ablate(MODELS, RECIPE, tmp_path, **options)) == rows
+    assert list(ablate(MODELS, recipe, tmp_path, **options)) == rows
     assert trained[2:] == [(MODELS[1], True)]
-    with pytest.raises(InputError, match="under another recipe"):
-        next(ablate(MODELS, replace(RECIPE, lr=1.0), tmp_path, **options))
+    with pytest.raises(InputError, match=r"under another recipe \(lr 0.001 -> 1.0\)"):
+        next(ablate(MODELS, replace(recipe, lr=1.0), tmp_path, **options))
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):

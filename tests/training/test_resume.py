@@ -8,9 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import torch
 from safetensors.torch import load_file
 from short_run import save_teacher
+
+from mobilestereonet.data.files import write_png
 
 STEPS = 14
 VALUES = {
@@ -42,9 +45,13 @@ def _start(folder: Path, *arguments: str, cwd: Path | None = None) -> subprocess
         return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=cwd)
 
 
-def _kill_after(file: Path, delay: float, process: subprocess.Popen[bytes]) -> None:
+def _wait_for(file: Path, process: subprocess.Popen[bytes]) -> None:
     while process.poll() is None and not file.exists():
         time.sleep(0.001)
+
+
+def _kill_after(file: Path, delay: float, process: subprocess.Popen[bytes]) -> None:
+    _wait_for(file, process)
     time.sleep(delay)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL, "the run was over before it could be killed"
@@ -68,7 +75,12 @@ def _assert_equal(ours, theirs, name: str) -> None:
 
 def test_killed_and_resumed(tmp_path):
     save_teacher(tmp_path / "teacher.safetensors", VALUES["model"])
-    values = VALUES | {"teacher": "teacher.safetensors"}  # from the folder of the first start
+    save_teacher(tmp_path / "initial.safetensors", VALUES["model"])
+    (tmp_path / "photographs").mkdir()
+    write_png(tmp_path / "photographs" / "0.png", np.full((32, 32, 3), 200, np.uint8))
+    # From the folder of the first start.
+    values = VALUES | {"teacher": "teacher.safetensors", "textures": "photographs"}
+    values |= {"weights": "initial.safetensors"}
     settings = [f"--set={name}={value}" for name, value in values.items()]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     first, other = (_start(f, *settings, cwd=tmp_path) for f in (killed, whole))
@@ -77,6 +89,8 @@ def test_killed_and_resumed(tmp_path):
     stopped_at = torch.load(killed / "last.ckpt", weights_only=False)["global_step"]
     print(f"killed {delay:.3f} s after the first checkpoint, resumed from step {stopped_at}")
     assert 2 <= stopped_at < STEPS
+    _wait_for(whole / "last.ckpt", other)
+    (tmp_path / "initial.safetensors").unlink()  # a resumed run goes on from its checkpoint
     for process in (_start(killed, "--resume"), other):
         assert process.wait() == 0, (tmp_path / "killed.log").read_text()
 

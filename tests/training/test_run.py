@@ -54,6 +54,8 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
 
     with pytest.raises(InputError, match="holds a run already"):
         _train(folder)
+    with pytest.raises(InputError, match=r"run started from fresh weights, not from msnet2d: go"):
+        _train(folder, replace(RECIPE, weights="msnet2d"), resume=True)
     # Nothing is left to do, but the weights were lost: they are the averaged ones again.
     (folder / "weights.safetensors").unlink()
     _train(folder, resume=True)
@@ -73,8 +75,8 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
 def test_pairs_without_ground_truth_are_refused_before_the_first_step(tmp_path):
     for view in ("left", "right"):
         write_png(tmp_path / "pairs" / view / "0.png", np.zeros((32, 48, 3), np.uint8))
+    recipe = replace(RECIPE, data="folder", root=str(tmp_path / "pairs"))
     with pytest.raises(InputError, match=r"no ground truth: .*data_options\.disparity"):
-        recipe = replace(RECIPE, data="folder", root=str(tmp_path / "pairs"))
         _train(tmp_path / "run", recipe)
     assert not (tmp_path / "run").exists()
 
@@ -105,6 +107,7 @@ def test_initial_weights(tmp_path):
         ({"resume": True}, "nothing to resume"),
         ({"recipe": replace(RECIPE, model="msnet4d")}, "unknown model"),
         ({"recipe": replace(RECIPE, data="kitti2015")}, "--root"),
+        ({"recipe": replace(RECIPE, root="pairs")}, "root is .*pairs: set data"),
     ],
 )
 def test_refused_settings(options, words, tmp_path):
@@ -164,7 +167,7 @@ def test_files_of_any_size(tmp_path):
         RunData(replace(recipe, data_options={}), 0)
     with pytest.raises(InputError, match="no ground truth") as refused:
         RunData(replace(recipe, val_options={}), 0)
-    assert "teacher" not in str(refused.value)
+    assert "teacher" not in str(refused.value) and "val_options.disparity" in str(refused.value)
 
 
 def test_a_recipe_finds_its_files_from_any_folder(tmp_path, monkeypatch):

@@ -83,16 +83,26 @@ def ablate(
         A row per network, as soon as it is done.
 
     Raises:
-        InputError: If a network is unknown, or its folder holds a run under another recipe.
+        InputError: If a network is unknown, the recipe has weights to start from, or a folder
+            holds a run under another recipe.
     """
     for model in models:
         model_config(model)  # a wrong name is told now, not after the runs before it
+    if recipe.weights is not None:
+        raise InputError(
+            f"an ablation starts from fresh weights, not from {recipe.weights}: leave weights out"
+        )
     recipe = recipe.with_absolute_paths()
     rows: list[AblationRow] = []
     for model in models:
         own, run = replace(recipe, model=model), folder / model
-        if (run / "recipe.json").is_file() and read_recipe(run / "recipe.json") != own:
-            raise InputError(f"{run} holds a run under another recipe: choose another folder")
+        if (run / "recipe.json").is_file():
+            changed = read_recipe(run / "recipe.json").changes(own)
+            if changed:
+                raise InputError(
+                    f"{run} holds a run under another recipe ({changed}): set it as it was, or "
+                    "choose another folder"
+                )
         score = run / "score.json"
         if not score.is_file():
             train(

@@ -19,10 +19,15 @@ from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.weights import embedded_models
 
+_PLACES = {"root", "textures"}
+"""Values that say where the data lie, not what they are."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """Everything that decides a training run but the machine it runs on.
+
+    A run writes its files and folders with absolute paths.
 
     Attributes:
         model: Name of the network, see `list_models`.
@@ -30,9 +35,10 @@ class Recipe:
         estimator: How the trained network estimates a disparity, see `NetConfig`; training itself
             takes the mean.
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
-        root: Folder of the data set.
+        root: Folder of the data set; None for procedural scenes.
         textures: Folder of photographs for procedural scenes.
-        weights: Weights to start from instead of fresh ones, see `open_weights`.
+        weights: Weights to start from instead of fresh ones, see `open_weights`; read at the start
+            only, not on resumption.
         data_options: Options of the data set's scanner, such as its split.
         val_options: The same for validation; None validates on procedural scenes.
         scenes: What procedural scenes look like, their size and seed.
@@ -136,16 +142,17 @@ class Recipe:
 
     def with_absolute_paths(self) -> Recipe:
         """The same recipe, which finds its files from any folder."""
-        named = embedded_models()
-        paths = {
-            "root": self.root,
-            "textures": self.textures,
-            "weights": None if self.weights in named else self.weights,
-            "teacher": None if self.teacher in named else self.teacher,
-        }
-        return override(
-            self, {name: str(Path(path).absolute()) for name, path in paths.items() if path}
-        )
+        paths = {"root": self.root, "textures": self.textures}
+        by_name = {"weights": self.weights, "teacher": self.teacher}
+        paths |= {key: name for key, name in by_name.items() if name not in embedded_models()}
+        given = {key: Path(path) for key, path in paths.items() if path is not None}
+        return override(self, {key: str(path.absolute()) for key, path in given.items()})
+
+    def changes(self, now: Recipe) -> str:
+        """Values in which ``now`` differs, in words; data and photographs may have moved."""
+        old, new = _values(self), _values(now)
+        names = [name for name in new if old[name] != new[name] and name not in _PLACES]
+        return ", ".join(f"{name} {old[name]} -> {new[name]}" for name in names)
 
     def to_json(self) -> str:
         """The whole recipe as indented JSON."""
@@ -216,6 +223,16 @@ RECIPES: dict[str, Recipe] = {
         zero_residuals=True,
     ),
 }
+
+
+def _values(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Values of a recipe and its parts, by the names that ``--set`` takes."""
+    values: dict[str, Any] = {}
+    for part in dataclasses.fields(config):
+        name, value = prefix + part.name, getattr(config, part.name)
+        nested = dataclasses.is_dataclass(value)
+        values |= _values(value, f"{name}.") if nested else {name: value}
+    return values
 
 
 def get_recipe(name: str) -> Recipe:

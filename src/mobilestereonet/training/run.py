@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.data.synthetic import ProceduralScenes
+from mobilestereonet.data.synthetic.textures import find_photographs
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import is_model, model_name
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
@@ -48,8 +49,9 @@ class RunData(L.LightningDataModule):
         workers: Processes that read files; procedural scenes are made on the training device.
 
     Raises:
-        FileNotFoundError: If the data set is not in the recipe's root.
-        InputError: If the recipe has no root, or the files no ground truth where it is needed.
+        FileNotFoundError: If a folder that the recipe names is not there.
+        InputError: If the recipe has no root for a data set or one without need, if the data set
+            or an option of it is unknown, or if ground truth or photographs are missing.
     """
 
     def __init__(self, recipe: Recipe, workers: int) -> None:
@@ -58,10 +60,19 @@ class RunData(L.LightningDataModule):
         self.workers = 0 if recipe.data == "procedural" else workers
         self._train_files: StereoDataSet | None = None
         self._val_files: StereoDataSet | None = None
+        if recipe.textures is not None:
+            find_photographs(Path(recipe.textures))
         if recipe.data == "procedural":
+            if recipe.root is not None:
+                raise InputError(
+                    f"procedural scenes read no files, but root is {recipe.root}: set data to a "
+                    "data set, such as data=folder, or leave root out"
+                )
             return
         if recipe.root is None:
-            raise InputError(f"data set {recipe.data} needs its folder: --root DIR")
+            raise InputError(
+                f"data set {recipe.data} needs its folder: --root DIR (in a recipe, root)"
+            )
         self._train_files = open_data_set(recipe.data, Path(recipe.root), **recipe.data_options)
         if recipe.teacher is None:
             self._train_files.require_truth(otherwise="or set a teacher, which needs none")
@@ -71,11 +82,15 @@ class RunData(L.LightningDataModule):
 
     def training(self, device: torch.device | str) -> Dataset[StereoSample]:
         """Training pairs; procedural scenes are rendered on ``device``."""
-        return self._train_files or self._scenes(0, self.recipe.scenes.length, device)
+        if self._train_files is not None:
+            return self._train_files
+        return self._scenes(0, self.recipe.scenes.length, device)
 
     def validation(self, device: torch.device | str) -> Dataset[StereoSample]:
         """Validation pairs; procedural scenes are rendered on ``device``."""
-        return self._val_files or self._scenes(_VALIDATION_SEED, self.recipe.val_scenes, device)
+        if self._val_files is not None:
+            return self._val_files
+        return self._scenes(_VALIDATION_SEED, self.recipe.val_scenes, device)
 
     def _scenes(self, offset: int, length: int, device: torch.device | str) -> ProceduralScenes:
         scenes, textures = self.recipe.scenes, self.recipe.textures
@@ -169,25 +184,31 @@ def train(
     Raises:
         FileNotFoundError: If a run to resume has lost its recipe, or a file or folder that the
             recipe names is not there.
-        InputError: If the folder holds another run, or none to resume; if the data or the first
-            weights do not fit; if the teacher searches other disparities; if Lightning refuses the
-            precision, the devices or the time.
+        InputError: If the folder holds another run, or none to resume, or one that started from
+            other weights; if the data or the initial weights do not fit; if the teacher searches
+            other disparities; if Lightning refuses the precision, the devices or the time.
     """
     last = folder / "last.ckpt"
     if resume and not last.is_file():
         raise InputError(f"nothing to resume: {last} is not there; start without --resume")
     if not resume and last.exists():
         raise InputError(f"{folder} holds a run already: --resume it, or choose another folder")
-    recipe = recipe.with_absolute_paths()
-    data = RunData(recipe, workers)
     ranks = devices * num_nodes
     if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:
         raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
+    recipe = recipe.with_absolute_paths()
+    before = read_recipe(folder / "recipe.json") if resume else recipe
+    if recipe.weights != before.weights:
+        raise InputError(
+            f"{folder} started from {before.weights or 'fresh weights'}, not from "
+            f"{recipe.weights or 'fresh ones'}: go on with the former, or choose another folder"
+        )
+    data = RunData(recipe, workers)
     global_batch = recipe.batch_size * ranks
     steps = recipe.steps or _steps(recipe, data, global_batch)
     module = StereoModule(recipe, steps, global_batch)
     if recipe.weights is not None and not resume:
-        _load_first(module, recipe.weights)
+        _load_initial(module, recipe.weights)
     cuda = accelerator != "cpu" and torch.cuda.is_available()
     average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
     make_folder(folder)
@@ -224,7 +245,7 @@ def train(
     except (MisconfigurationException, ValueError) as error:
         raise InputError(f"Lightning refuses these settings: {error}") from None
     if trainer.is_global_zero:
-        if resume and (changed := _changed(read_recipe(folder / "recipe.json"), recipe)):
+        if changed := before.changes(recipe):
             rank_zero_info(f"Not an exact continuation, the recipe has changed: {changed}")
         text = recipe.to_json() + "\n"
         write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
@@ -249,26 +270,11 @@ def train(
     return module
 
 
-def _changed(before: Recipe, now: Recipe) -> str:
-    """Values that differ, in words."""
-    old, new = _values(before), _values(now)
-    return ", ".join(f"{name} {old[name]} -> {new[name]}" for name in new if old[name] != new[name])
-
-
-def _values(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Values of a recipe and its parts, by the names that ``--set`` takes."""
-    values: dict[str, Any] = {}
-    for field in fields(config):
-        name, value = prefix + field.name, getattr(config, field.name)
-        values |= _values(value, f"{name}.") if is_dataclass(value) else {name: value}
-    return values
-
-
 def _is_no_advertisement(record: logging.LogRecord) -> bool:
     return "litlogger" not in record.getMessage()
 
 
-def _load_first(module: StereoModule, weights: str) -> None:
+def _load_initial(module: StereoModule, weights: str) -> None:
     net, model = open_weights(weights), module.recipe.model
     try:
         module.net.load_state_dict(net.state_dict())

@@ -41,7 +41,9 @@ class SceneConfig:
         seed: First word of the generator's key; the scene's index is the second.
         rays: Rays per pixel: 1 (the centre) or 2 (the centre and corners shared by neighbours).
         objects: Fewest and most things that float in a scene of clutter; fewer indoors.
-        bare: Chance of each large near surface to have next to no texture.
+        textureless: Chance of each large near surface (a box's faces and a room's walls one by
+            one) to have next to no texture. Scenes of the same index differ then in textures'
+            positions and light, too.
         kinds: Weight of each layout.
         noise_textures: How many noise textures to make.
         texture_size: Side of a texture in texels, a power of two.
@@ -55,7 +57,7 @@ class SceneConfig:
     seed: int = 0
     rays: int = 2
     objects: tuple[int, int] = (20, 60)
-    bare: float = 0.0
+    textureless: float = 0.0
     kinds: Mapping[str, float] = field(
         default_factory=lambda: {
             "room": 0.25,
@@ -83,8 +85,8 @@ class SceneConfig:
             raise InputError(f"scenes: seed must not be negative, got {self.seed}")
         if len(self.objects) != 2 or not 0 <= self.objects[0] <= self.objects[1]:
             raise InputError(f"scenes: objects must be a range of counts, got {self.objects}")
-        if not 0 <= self.bare <= 1:
-            raise InputError(f"scenes: bare must be from 0 to 1, got {self.bare}")
+        if not 0 <= self.textureless <= 1:
+            raise InputError(f"scenes: textureless must be from 0 to 1, got {self.textureless}")
         if self.rays not in (1, 2):
             raise InputError(f"scenes: rays must be 1 or 2, got {self.rays}")
         if self.texture_size & (self.texture_size - 1) or self.texture_size < 2:
@@ -156,7 +158,7 @@ class ProceduralScenes(Dataset[StereoSample]):
             float(rng.uniform(*place.near)),
             place.pitch,
             self.config.objects,
-            bare=config.bare,
+            textureless=config.textureless,
             noise=self._bank.noise,
             photographs=self._bank.photographs,
             masks=len(self._masks),

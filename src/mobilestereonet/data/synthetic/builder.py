@@ -78,7 +78,7 @@ class Builder:
         near: Their distance, in metres.
         pitch: Range of the camera's pitch (down is positive), in radians.
         objects: Fewest and most things that float in a scene of clutter.
-        bare: Chance of each large near surface to have next to no texture.
+        textureless: Chance of each large near surface to have next to no texture.
         noise: How many textures of the bank are noise.
         photographs: How many textures of the bank are photographs.
         masks: How many masks there are.
@@ -93,7 +93,7 @@ class Builder:
         pitch: tuple[float, float],
         objects: tuple[int, int],
         *,
-        bare: float,
+        textureless: float,
         noise: int,
         photographs: int,
         masks: int,
@@ -101,7 +101,7 @@ class Builder:
         self.rng = rng
         self.height, self.width = size
         self.near, self.nearest = near, nearest
-        self.objects, self.bare = objects, bare
+        self.objects, self.textureless = objects, textureless
         self.noise, self.photographs, self.masks = noise, photographs, masks
         # A long focal length with a principal point off the centre is a crop of a wide image.
         zoom = self.log_uniform(0.55, 1.8)
@@ -216,8 +216,8 @@ class Builder:
             field.name: np.concatenate([getattr(part.material, field.name) for part in self.parts])
             for field in fields(Material)
         }
-        if self.bare:
-            looks["contrast"] *= self._fade(centre, axes)
+        if self.textureless:
+            looks["contrast"] *= self._contrast_factors(centre, axes)
         # A quadric's texture goes around it by its mean radius and along its axis.
         length = np.linalg.norm(axes, axis=1)
         extent = np.where(
@@ -238,14 +238,19 @@ class Builder:
             **looks,
         )
 
-    def _fade(self, centre: Floats, axes: Floats) -> Floats:
-        """Factors on the contrast of surfaces, (n,): small for some of those large and near."""
+    def _contrast_factors(self, centre: Floats, axes: Floats) -> Floats:
+        """Factors on the contrast of surfaces, (n,): small for some of those large and near.
+
+        Large is what spans about a quarter of the view both ways, near what has its centre nearer
+        than 8 times the nearest things (as all ground has, whose centre is below the camera); far
+        planes such as the sky are textureless often enough.
+        """
         rng, count = self.rng, len(centre)
         depth = np.maximum(centre[:, 2], 0.5 * self.near)
         half = np.linalg.norm(axes, axis=1)[:, :2].min(1) * self.focal / depth
-        near = self.focal * self.baseline / depth > self.nearest / 8
-        bare = near & (half > 0.12 * self.width) & (rng.random(count) < self.bare)
-        return np.where(bare, self.log_uniform(0.01, 0.1, count), 1.0)
+        large = (half > 0.12 * self.width) & (depth < 8 * self.near)
+        chosen = large & (rng.random(count) < self.textureless)
+        return np.where(chosen, self.log_uniform(0.01, 0.1, count), 1.0)
 
     def pick_masks(self, count: int, *kinds: int) -> Ints:
         """Indices of masks, of any or of the given kinds."""

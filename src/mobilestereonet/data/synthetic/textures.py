@@ -72,6 +72,28 @@ class TextureBank:
         return torch.stack([(((taps >> shift) & 255) * weights).sum(0) for shift in (0, 8, 16)])
 
 
+def find_photographs(folder: Path) -> list[Path]:
+    """Paths of all images below ``folder``, by their suffix, in order.
+
+    Raises:
+        FileNotFoundError: If the folder does not exist.
+        InputError: If there is none.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(
+            f"textures: no folder {folder}; give a folder of images, with --textures DIR"
+        )
+    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES]
+    if not paths:
+        raise _no_image(folder)
+    return paths
+
+
+def _no_image(folder: Path) -> InputError:
+    listed = ", ".join(sorted(SUFFIXES))
+    return InputError(f"textures: no readable image below {folder}; it needs files {listed}")
+
+
 def read_photographs(folder: Path, size: int) -> NDArray[np.uint8]:
     """All images below ``folder``, each as its central square resized to ``size``.
 
@@ -79,12 +101,8 @@ def read_photographs(folder: Path, size: int) -> NDArray[np.uint8]:
         FileNotFoundError: If the folder does not exist.
         InputError: If it holds no readable image.
     """
-    if not folder.is_dir():
-        raise FileNotFoundError(f"textures: no folder {folder}; give a folder of images")
     squares = []
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() not in SUFFIXES:
-            continue
+    for path in find_photographs(folder):
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
             continue
@@ -94,6 +112,5 @@ def read_photographs(folder: Path, size: int) -> NDArray[np.uint8]:
         way = cv2.INTER_AREA if side > size else cv2.INTER_CUBIC
         squares.append(cv2.resize(square, (size, size), interpolation=way)[..., ::-1])
     if not squares:
-        listed = ", ".join(sorted(SUFFIXES))
-        raise InputError(f"textures: no readable image below {folder}; it needs files {listed}")
+        raise _no_image(folder)
     return np.stack(squares)
