@@ -32,7 +32,7 @@ def test_an_older_recipe_takes_defaults(tmp_path):
     ("text", "words"),
     [
         ("{", "not a recipe"),
-        ("[1, 2]", "must be Recipe"),
+        ("[1, 2]", "recipe must be a JSON object with some of model, max_disparity"),
         ('{"steps": 1, "colour": "red"}', "no value 'colour'"),
         ('{"steps": 1, "lr": "fast"}', "lr must be float"),
     ],
@@ -81,7 +81,7 @@ def test_override():
         ({"colour": "red"}, "no value 'colour', only model"),
         ({"augment.colour": 1}, "augment has no value 'colour'"),
         ({"lr.fast": 1}, "lr has no parts"),
-        ({"augment": 5}, "augment must be AugmentConfig"),
+        ({"augment": 5}, "augment must be a JSON object with some of height, width"),
         ({"steps": "many"}, "steps must be int"),
         ({"steps": 1.5}, "steps must be int"),
         ({"batch_size": True}, "batch_size must be int"),

@@ -308,4 +308,7 @@ def _build(hint: Any, value: Any, name: str) -> Any:
     wanted = str(hint) if members else kind.__name__
     if issubclass(kind, Mapping):
         wanted = 'a JSON object such as {"name": 1}'
+    elif dataclasses.is_dataclass(kind):
+        names = ", ".join(part.name for part in dataclasses.fields(kind))
+        wanted = f"a JSON object with some of {names}"
     raise InputError(f"{name} must be {wanted}, got {value!r}")
