@@ -218,7 +218,7 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
     """
     # Imported here: pictures of disparities need no matplotlib, and its import is slow.
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import LogFormatter, MaxNLocator
 
     families: dict[str, dict[str, list[_Curve]]] = defaultdict(lambda: defaultdict(list))
     for log in logs:
@@ -244,6 +244,7 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
             axes.yaxis.set_major_formatter(LogFormatter())
             axes.yaxis.set_minor_formatter(LogFormatter())
         axes.set_xlabel("step")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.tick_params(labelbottom=True)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")

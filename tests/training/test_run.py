@@ -1,4 +1,5 @@
 import csv
+import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import create_model
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
+from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import RunData, train
 from mobilestereonet.weights import load_weights, save_weights
@@ -93,7 +95,7 @@ def test_initial_weights(tmp_path):
     with pytest.raises(InputError, match=r"does not fit .*v1-v1: max_disparity 32, not 64$"):
         _train(tmp_path / "other", replace(recipe, max_disparity=64))
     with pytest.raises(
-        InputError, match=r"does not fit .*v1-v1: it holds msnet2d; set model=msnet2d$"
+        InputError, match=r"does not fit .*v1-v1: it holds msnet2d; add --set model=msnet2d$"
     ):
         _train(tmp_path / "other", replace(recipe, weights="msnet2d"))
     assert not (tmp_path / "other").exists()
@@ -107,7 +109,7 @@ def test_initial_weights(tmp_path):
         ({"resume": True}, "nothing to resume"),
         ({"recipe": replace(RECIPE, model="msnet4d")}, "unknown model"),
         ({"recipe": replace(RECIPE, data="kitti2015")}, "--root"),
-        ({"recipe": replace(RECIPE, root="pairs")}, "root is .*pairs: set data"),
+        ({"recipe": replace(RECIPE, root="pairs")}, "root is .*pairs: choose a data set"),
     ],
 )
 def test_refused_settings(options, words, tmp_path):
@@ -189,6 +191,28 @@ def test_time_is_up(tmp_path):
     _train(tmp_path, replace(RECIPE, steps=10_000, save_every=10_000), max_time="00:00:00:01")
     step = torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"]
     assert 0 < step < 1000 and (tmp_path / "weights.safetensors").is_file()
+
+
+def test_ctrl_c_stops_after_the_step_with_a_checkpoint(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
+    monkeypatch.setattr("mobilestereonet.training.callbacks.rank_zero_info", said.append)
+    before, training_step = signal.getsignal(signal.SIGINT), StereoModule.training_step
+
+    def interrupted(self, *arguments):
+        if self.global_step == 2:
+            signal.raise_signal(signal.SIGINT)
+        return training_step(self, *arguments)
+
+    monkeypatch.setattr(StereoModule, "training_step", interrupted)
+    recipe = replace(RECIPE, steps=6, save_every=100)
+    _train(tmp_path, recipe)
+    assert said[-2].startswith("Stopping after this step")
+    assert said[-1].endswith("after 3 of 6 steps; --resume goes on")
+    assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 3
+    assert signal.getsignal(signal.SIGINT) is before
+    _train(tmp_path, recipe, resume=True)
+    assert "Going on after step 3 of 6" in said and said[-1].endswith("after 6 of 6 steps")
 
 
 def test_a_checkpoint_is_whole_or_absent(tmp_path, monkeypatch):

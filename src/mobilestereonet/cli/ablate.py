@@ -56,6 +56,7 @@ def ablate(
     values |= {name: str(path) for name, path in paths.items() if path is not None}
     chosen = override(get_recipe(recipe), values)
     names = [model.strip() for model in models.split(",")] if models else table_models(table)
+    names = list(dict.fromkeys(names))
     keep_freed_memory()
     rows = []
     for row in run(

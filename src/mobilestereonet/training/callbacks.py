@@ -1,15 +1,25 @@
-"""What Lightning does in a run beside the steps: checkpoints, average, time limit, bar."""
+"""What Lightning does in a run beside the steps: checkpoints, average, ends, bar."""
 
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
+from threading import current_thread, main_thread
+from types import FrameType
 from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.callbacks import Checkpoint, Timer, TQDMProgressBar, WeightAveraging
+from lightning.pytorch.callbacks import (
+    Callback,
+    Checkpoint,
+    Timer,
+    TQDMProgressBar,
+    WeightAveraging,
+)
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 
 
@@ -28,7 +38,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
 
 class LastCheckpoint(Checkpoint):
-    """Write a checkpoint every so many steps, at the last one, and when time is up.
+    """Write a checkpoint every so many steps, at the last one, and when the run is stopped.
 
     Lightning calls checkpoints after all other callbacks: the moving average is up to date.
     """
@@ -36,6 +46,11 @@ class LastCheckpoint(Checkpoint):
     def __init__(self, path: Path, every: int) -> None:
         self.path = path
         self.every = every
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Say where a resumed run goes on."""
+        if trainer.global_step:
+            rank_zero_info(f"Going on after step {trainer.global_step} of {trainer.max_steps}")
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
         """Write it, if it is time."""
@@ -49,6 +64,38 @@ class TimeLimit(Timer):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Start from zero."""
+
+
+class Interruption(Callback):
+    """Ctrl-C stops the run after the current step, with a checkpoint; a second one at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self.before: Any = None
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Listen; only the main thread can."""
+        if current_thread() is main_thread():
+            self.before = signal.signal(signal.SIGINT, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        self._leave()
+        rank_zero_info("Stopping after this step; Ctrl-C again stops at once")
+
+    def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
+        """Stop all processes together, as the first one was asked."""
+        if trainer.strategy.broadcast(self.asked):
+            trainer.should_stop = True
+
+    def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
+        """Listen no more."""
+        self._leave()
+
+    def _leave(self) -> None:
+        if self.before is not None:
+            signal.signal(signal.SIGINT, self.before)
+            self.before = None
 
 
 class ProgressBar(TQDMProgressBar):

@@ -146,7 +146,7 @@ class Recipe:
         by_name = {"weights": self.weights, "teacher": self.teacher}
         paths |= {key: name for key, name in by_name.items() if name not in embedded_models()}
         given = {key: Path(path) for key, path in paths.items() if path is not None}
-        return override(self, {key: str(path.absolute()) for key, path in given.items()})
+        return override(self, {key: str(path.resolve()) for key, path in given.items()})
 
     def changes(self, now: Recipe) -> str:
         """Values in which ``now`` differs, in words; data and photographs may have moved."""

@@ -28,6 +28,7 @@ from mobilestereonet.nets import is_model, model_name
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,
+    Interruption,
     LastCheckpoint,
     ProgressBar,
     TimeLimit,
@@ -65,20 +66,26 @@ class RunData(L.LightningDataModule):
         if recipe.data == "procedural":
             if recipe.root is not None:
                 raise InputError(
-                    f"procedural scenes read no files, but root is {recipe.root}: set data to a "
-                    "data set, such as data=folder, or leave root out"
+                    f"procedural scenes read no files, but root is {recipe.root}: choose a data "
+                    "set, such as --set data=folder, or leave the root out"
                 )
             return
         if recipe.root is None:
             raise InputError(
                 f"data set {recipe.data} needs its folder: --root DIR (in a recipe, root)"
             )
-        self._train_files = open_data_set(recipe.data, Path(recipe.root), **recipe.data_options)
+        self._train_files = self._open(recipe.root, recipe.data_options)
         if recipe.teacher is None:
             self._train_files.require_truth(otherwise="or set a teacher, which needs none")
         if recipe.val_options is not None:
-            self._val_files = open_data_set(recipe.data, Path(recipe.root), **recipe.val_options)
+            self._val_files = self._open(recipe.root, recipe.val_options)
             self._val_files.require_truth()
+
+    def _open(self, root: str, options: dict[str, Any]) -> StereoDataSet:
+        try:
+            return open_data_set(self.recipe.data, Path(root), **options)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{error}; tell where it is with --root DIR") from None
 
     def training(self, device: torch.device | str) -> Dataset[StereoSample]:
         """Training pairs; procedural scenes are rendered on ``device``."""
@@ -159,7 +166,7 @@ def train(
     """Train a network; write checkpoints, logs and the weights into ``folder``.
 
     ``folder`` gets ``recipe.json``, ``last.ckpt``, ``csv/version_*/metrics.csv`` and
-    ``tensorboard`` (a version for each start) and, at the end or when time is up,
+    ``tensorboard`` (a version for each start) and, at the end, when time is up or after Ctrl-C,
     ``weights.safetensors`` (averaged where the recipe has an average).
 
     On GPUs the ranks' batch norms are synchronised; on CPUs, which torch's SyncBatchNorm refuses,
@@ -216,7 +223,8 @@ def train(
     rank_zero = logging.getLogger("lightning.pytorch.utilities.rank_zero")
     rank_zero.addFilter(_is_no_advertisement)
     try:
-        callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every), TimeLimit(max_time)]
+        callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
+        callbacks += [TimeLimit(max_time), Interruption()]
         callbacks += [average] if average else []
         callbacks += [ProgressBar()] if progress else []
         trainer = L.Trainer(
@@ -284,7 +292,7 @@ def _load_initial(module: StereoModule, weights: str) -> None:
             config = replace(net.config, estimator=module.net.config.estimator)
             reason = config.differences(module.net.config)
         else:
-            reason = f"it holds {found}; set model={found}"
+            reason = f"it holds {found}; add --set model={found}"
         raise InputError(f"{weights}: does not fit the recipe's {model}: {reason}") from None
 
 

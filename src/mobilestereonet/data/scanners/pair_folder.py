@@ -91,8 +91,8 @@ class PairFolder(StereoDataSet):
         """The option that names it."""
         return (
             "tell where it is by the option disparity, such as "
-            '--set "disparity=disparity/*.pfm" (in a recipe, data_options.disparity and '
-            "val_options.disparity)"
+            '--set "disparity=disparity/*.pfm"; in training, by data_options.disparity and '
+            "val_options.disparity"
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
