@@ -55,8 +55,8 @@ def test_two_networks(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     relative = replace(RECIPE, textures="photographs")
     first = next(ablate(MODELS, relative, tmp_path, **options))
-    monkeypatch.chdir("/")
-    recipe = replace(RECIPE, textures=str(tmp_path / "photographs"))
+    (tmp_path / "photographs").rename(tmp_path / "moved")
+    recipe = replace(RECIPE, textures="moved")
     rows = list(ablate(MODELS, recipe, tmp_path, **options))
     assert trained == [(MODELS[0], False), (MODELS[1], False)]
     assert [row.model for row in rows] == MODELS and rows[0] == first
@@ -88,6 +88,8 @@ def test_two_networks(tmp_path, monkeypatch):
     assert trained[2:] == [(MODELS[1], True)]
     with pytest.raises(InputError, match=r"under another recipe \(lr 0.001 -> 1.0\)"):
         next(ablate(MODELS, replace(recipe, lr=1.0), tmp_path, **options))
+    with pytest.raises(InputError, match=r"\(textures .*photographs -> None\)"):
+        next(ablate(MODELS, RECIPE, tmp_path, **options))
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):

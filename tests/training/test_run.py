@@ -56,7 +56,7 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
 
     with pytest.raises(InputError, match="holds a run already"):
         _train(folder)
-    with pytest.raises(InputError, match=r"run started from fresh weights, not from msnet2d: go"):
+    with pytest.raises(InputError, match=r"run not from msnet2d: leave --weights out"):
         _train(folder, replace(RECIPE, weights="msnet2d"), resume=True)
     # Nothing is left to do, but the weights were lost: they are the averaged ones again.
     (folder / "weights.safetensors").unlink()
@@ -197,20 +197,24 @@ def test_ctrl_c_stops_after_the_step_with_a_checkpoint(tmp_path, monkeypatch):
     said = []
     monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
     monkeypatch.setattr("mobilestereonet.training.callbacks.rank_zero_info", said.append)
-    before, training_step = signal.getsignal(signal.SIGINT), StereoModule.training_step
+    training_step = StereoModule.training_step
 
     def interrupted(self, *arguments):
         if self.global_step == 2:
             signal.raise_signal(signal.SIGINT)
+            # The next one is Python's own again.
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         return training_step(self, *arguments)
 
     monkeypatch.setattr(StereoModule, "training_step", interrupted)
     recipe = replace(RECIPE, steps=6, save_every=100)
-    _train(tmp_path, recipe)
+    with pytest.raises(KeyboardInterrupt):
+        _train(tmp_path, recipe)
     assert said[-2].startswith("Stopping after this step")
+    assert (tmp_path / "weights.safetensors").is_file()
+    assert "val/epe" not in (tmp_path / "csv/version_0/metrics.csv").read_text()
     assert said[-1].endswith("after 3 of 6 steps; --resume goes on")
     assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 3
-    assert signal.getsignal(signal.SIGINT) is before
     _train(tmp_path, recipe, resume=True)
     assert "Going on after step 3 of 6" in said and said[-1].endswith("after 6 of 6 steps")
 

@@ -39,7 +39,7 @@ def ablate(
 ) -> None:
     """Train and score several networks under one recipe, beside the paper's figures.
 
-    Start it again to go on where it stopped.
+    Start it again to go on where it stopped, such as by Ctrl-C.
     """
     from rich.console import Console
 

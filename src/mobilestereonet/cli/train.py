@@ -54,7 +54,8 @@ def train(
 ) -> None:
     """Train a network under a recipe; every value of it can be overridden.
 
-    Without a data set it trains on procedural scenes, which need no download.
+    Without a data set it trains on procedural scenes, which need no download. Ctrl-C ends the run
+    after its current step, with a checkpoint.
     """
     from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.training.memory import keep_freed_memory

@@ -97,8 +97,8 @@ def ablate(
     for model in models:
         own, run = replace(recipe, model=model), folder / model
         if (run / "recipe.json").is_file():
-            changed = read_recipe(run / "recipe.json").changes(own)
-            if changed:
+            before = read_recipe(run / "recipe.json").with_absolute_paths()
+            if changed := before.changes(own):
                 raise InputError(
                     f"{run} holds a run under another recipe ({changed}): set it as it was, or "
                     "choose another folder"

@@ -67,35 +67,32 @@ class TimeLimit(Timer):
 
 
 class Interruption(Callback):
-    """Ctrl-C stops the run after the current step, with a checkpoint; a second one at once."""
+    """Ctrl-C stops the run after the current step, with a checkpoint; a second one at once.
+
+    Lightning puts the handler back at the end of the run. A run in the background, whose parent
+    had Ctrl-C ignored, and one in another thread do not listen.
+    """
 
     def __init__(self) -> None:
         self.asked = False
-        self.before: Any = None
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Listen; only the main thread can."""
-        if current_thread() is main_thread():
-            self.before = signal.signal(signal.SIGINT, self._ask)
+        """Listen."""
+        listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if listens and current_thread() is main_thread():
+            signal.signal(signal.SIGINT, self._ask)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
-        self._leave()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         rank_zero_info("Stopping after this step; Ctrl-C again stops at once")
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
-        """Stop all processes together, as the first one was asked."""
-        if trainer.strategy.broadcast(self.asked):
+        """Stop all processes together, without a validation."""
+        self.asked = trainer.strategy.reduce_boolean_decision(self.asked, all=False)
+        if self.asked:
             trainer.should_stop = True
-
-    def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        """Listen no more."""
-        self._leave()
-
-    def _leave(self) -> None:
-        if self.before is not None:
-            signal.signal(signal.SIGINT, self.before)
-            self.before = None
+            trainer.limit_val_batches = 0
 
 
 class ProgressBar(TQDMProgressBar):

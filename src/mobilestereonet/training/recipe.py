@@ -149,9 +149,10 @@ class Recipe:
         return override(self, {key: str(path.resolve()) for key, path in given.items()})
 
     def changes(self, now: Recipe) -> str:
-        """Values in which ``now`` differs, in words; data and photographs may have moved."""
+        """Values in which ``now`` differs, in words; files may have moved."""
         old, new = _values(self), _values(now)
-        names = [name for name in new if old[name] != new[name] and name not in _PLACES]
+        moved = {name for name in _PLACES if old[name] and new[name]}
+        names = [name for name in new if old[name] != new[name] and name not in moved]
         return ", ".join(f"{name} {old[name]} -> {new[name]}" for name in names)
 
     def to_json(self) -> str:

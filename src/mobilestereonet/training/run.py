@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -61,13 +62,14 @@ class RunData(L.LightningDataModule):
         self.workers = 0 if recipe.data == "procedural" else workers
         self._train_files: StereoDataSet | None = None
         self._val_files: StereoDataSet | None = None
-        if recipe.textures is not None:
+        makes_scenes = recipe.data == "procedural" or recipe.val_options is None
+        if makes_scenes and recipe.textures is not None:
             find_photographs(Path(recipe.textures))
         if recipe.data == "procedural":
             if recipe.root is not None:
                 raise InputError(
                     f"procedural scenes read no files, but root is {recipe.root}: choose a data "
-                    "set, such as --set data=folder, or leave the root out"
+                    "set, such as --set data=folder, or leave the root out (--set root=null)"
                 )
             return
         if recipe.root is None:
@@ -85,6 +87,8 @@ class RunData(L.LightningDataModule):
         try:
             return open_data_set(self.recipe.data, Path(root), **options)
         except FileNotFoundError as error:
+            if Path(root).is_dir():
+                raise
             raise FileNotFoundError(f"{error}; tell where it is with --root DIR") from None
 
     def training(self, device: torch.device | str) -> Dataset[StereoSample]:
@@ -130,6 +134,7 @@ class RunData(L.LightningDataModule):
                 trainer.world_size,
             ),
             num_workers=self.workers,
+            worker_init_fn=_leave_ctrl_c_to_the_run,
             collate_fn=_as_it_is,
         )
 
@@ -142,8 +147,16 @@ class RunData(L.LightningDataModule):
             raise InputError(f"{pairs} validation pairs are too few for {ranks} processes")
         indices = range(rank, pairs, ranks)
         return DataLoader(
-            Subset(self.val_source, indices), num_workers=self.workers, collate_fn=collate
+            Subset(self.val_source, indices),
+            num_workers=self.workers,
+            worker_init_fn=_leave_ctrl_c_to_the_run,
+            collate_fn=collate,
         )
+
+
+def _leave_ctrl_c_to_the_run(worker: int) -> None:
+    # A terminal sends it to all processes, and a run needs its readers to end its step.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _as_it_is(batch: Any) -> Any:
@@ -186,7 +199,7 @@ def train(
         progress: Show a progress bar.
 
     Returns:
-        The module, with the averaged weights.
+        The module, with the averaged weights; of an unfinished run where time was up.
 
     Raises:
         FileNotFoundError: If a run to resume has lost its recipe, or a file or folder that the
@@ -194,6 +207,8 @@ def train(
         InputError: If the folder holds another run, or none to resume, or one that started from
             other weights; if the data or the initial weights do not fit; if the teacher searches
             other disparities; if Lightning refuses the precision, the devices or the time.
+        KeyboardInterrupt: After Ctrl-C, when checkpoint and weights are written; after a second
+            one at once.
     """
     last = folder / "last.ckpt"
     if resume and not last.is_file():
@@ -204,11 +219,14 @@ def train(
     if (started := int(os.environ.get("WORLD_SIZE", ranks))) != ranks:
         raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
     recipe = recipe.with_absolute_paths()
-    before = read_recipe(folder / "recipe.json") if resume else recipe
+    before = recipe
+    if resume:
+        before = read_recipe(folder / "recipe.json").with_absolute_paths()
     if recipe.weights != before.weights:
+        option = f"give --weights {before.weights}" if before.weights else "leave --weights out"
         raise InputError(
             f"{folder} started from {before.weights or 'fresh weights'}, not from "
-            f"{recipe.weights or 'fresh ones'}: go on with the former, or choose another folder"
+            f"{recipe.weights or 'fresh ones'}: {option}, or choose another folder"
         )
     data = RunData(recipe, workers)
     global_batch = recipe.batch_size * ranks
@@ -224,7 +242,7 @@ def train(
     rank_zero.addFilter(_is_no_advertisement)
     try:
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
-        callbacks += [TimeLimit(max_time), Interruption()]
+        callbacks += [TimeLimit(max_time), interruption := Interruption()]
         callbacks += [average] if average else []
         callbacks += [ProgressBar()] if progress else []
         trainer = L.Trainer(
@@ -275,6 +293,8 @@ def train(
         f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
         + ("" if done >= steps else "; --resume goes on")
     )
+    if interruption.asked and done < steps and trainer.is_global_zero:
+        raise KeyboardInterrupt
     return module
 
 
