@@ -56,7 +56,7 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
 
     with pytest.raises(InputError, match="holds a run already"):
         _train(folder)
-    with pytest.raises(InputError, match=r"run not from msnet2d: leave --weights out"):
+    with pytest.raises(InputError, match="not from msnet2d: leave --weights out"):
         _train(folder, replace(RECIPE, weights="msnet2d"), resume=True)
     # Nothing is left to do, but the weights were lost: they are the averaged ones again.
     (folder / "weights.safetensors").unlink()
@@ -193,6 +193,15 @@ def test_time_is_up(tmp_path):
     assert 0 < step < 1000 and (tmp_path / "weights.safetensors").is_file()
 
 
+@pytest.fixture
+def foreground():
+    """Ctrl-C as Python has it in a program in the foreground, whatever runs the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+
+
+@pytest.mark.usefixtures("foreground")
 def test_ctrl_c_stops_after_the_step_with_a_checkpoint(tmp_path, monkeypatch):
     said = []
     monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
