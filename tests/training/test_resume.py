@@ -1,4 +1,4 @@
-"""A run that was killed and resumed ends as one that was not, bit for bit."""
+"""Runs that end early: killed and resumed, they end as others do, bit for bit; Ctrl-C."""
 
 import os
 import random
@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 from short_run import save_teacher
 
-from mobilestereonet.data.files import write_png
+from mobilestereonet.data import write_pfm, write_png
 
 STEPS = 14
 VALUES = {
@@ -42,7 +42,16 @@ def _start(folder: Path, *arguments: str, cwd: Path | None = None) -> subprocess
     command += ["--accelerator", "cpu", "--no-progress", *arguments]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with (folder.parent / f"{folder.name}.log").open("ab") as log:
-        return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=cwd)
+        return subprocess.Popen(
+            command,
+            env=environment,
+            stdout=log,
+            stderr=log,
+            cwd=cwd,
+            start_new_session=True,
+            # As a program in the foreground has Ctrl-C, whatever runs the tests.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
 
 
 def _wait_for(file: Path, process: subprocess.Popen[bytes]) -> None:
@@ -108,3 +117,28 @@ def test_killed_and_resumed(tmp_path):
     name = weight.removeprefix("net.")
     assert torch.equal(saved[0][name].float(), average[weight].half().float())
     assert (killed / "recipe.json").read_text() == (whole / "recipe.json").read_text()
+
+
+def test_ctrl_c_ends_a_run_after_its_step(tmp_path):
+    for side in ("left", "right", "disparity"):
+        view = np.full((70, 110, 3), 90, np.uint8) + np.arange(110, dtype=np.uint8)[:, None]
+        write_png(tmp_path / "pairs" / side / "0.png", view)
+        write_pfm(tmp_path / "pairs" / side / "0.pfm", np.full((70, 110), 5, np.float32))
+    values = VALUES | {"steps": 10_000, "save_every": 10_000, "val_every": 10_000, "data": "folder"}
+    values |= {"root": "pairs", "data_options.disparity": "disparity/*.pfm"}
+    run = tmp_path / "run"
+    settings = [f"--set={name}={value}" for name, value in values.items()]
+    process = _start(run, "--workers=1", *settings, cwd=tmp_path)
+    _wait_for(run / "csv" / "version_0" / "metrics.csv", process)  # after the tenth step
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the reader of files as well
+    assert process.wait() == 130, (tmp_path / "run.log").read_text()
+    said = (tmp_path / "run.log").read_text()
+    step = torch.load(run / "last.ckpt", weights_only=False)["global_step"]
+    assert said.count("Stopping after this step") == 1
+    assert f"after {step} of 10000 steps; --resume goes on" in said and step < 10_000
+    assert (run / "weights.safetensors").is_file()
+    assert "val/epe" not in (run / "csv/version_0/metrics.csv").read_text()
+
+    process = _start(run, "--resume", f"--set=steps={step + 1}")
+    assert process.wait() == 0, (tmp_path / "run.log").read_text()
+    assert f"Going on after step {step} of {step + 1}" in (tmp_path / "run.log").read_text()

@@ -1,5 +1,4 @@
 import csv
-import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -14,7 +13,6 @@ from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import create_model
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
-from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import RunData, train
 from mobilestereonet.weights import load_weights, save_weights
@@ -191,41 +189,6 @@ def test_time_is_up(tmp_path):
     _train(tmp_path, replace(RECIPE, steps=10_000, save_every=10_000), max_time="00:00:00:01")
     step = torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"]
     assert 0 < step < 1000 and (tmp_path / "weights.safetensors").is_file()
-
-
-@pytest.fixture
-def foreground():
-    """Ctrl-C as Python has it in a program in the foreground, whatever runs the tests."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before or signal.SIG_DFL)
-
-
-@pytest.mark.usefixtures("foreground")
-def test_ctrl_c_stops_after_the_step_with_a_checkpoint(tmp_path, monkeypatch):
-    said = []
-    monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
-    monkeypatch.setattr("mobilestereonet.training.callbacks.rank_zero_info", said.append)
-    training_step = StereoModule.training_step
-
-    def interrupted(self, *arguments):
-        if self.global_step == 2:
-            signal.raise_signal(signal.SIGINT)
-            # The next one is Python's own again.
-            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        return training_step(self, *arguments)
-
-    monkeypatch.setattr(StereoModule, "training_step", interrupted)
-    recipe = replace(RECIPE, steps=6, save_every=100)
-    with pytest.raises(KeyboardInterrupt):
-        _train(tmp_path, recipe)
-    assert said[-2].startswith("Stopping after this step")
-    assert (tmp_path / "weights.safetensors").is_file()
-    assert "val/epe" not in (tmp_path / "csv/version_0/metrics.csv").read_text()
-    assert said[-1].endswith("after 3 of 6 steps; --resume goes on")
-    assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 3
-    _train(tmp_path, recipe, resume=True)
-    assert "Going on after step 3 of 6" in said and said[-1].endswith("after 6 of 6 steps")
 
 
 def test_a_checkpoint_is_whole_or_absent(tmp_path, monkeypatch):
