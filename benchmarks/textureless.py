@@ -17,7 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from accuracy import SCENE_SEED, matchers
+from mobilestereonet.data.sample import collate
 from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
+from mobilestereonet.metrics import StereoMetrics
 
 CONFIG = SceneConfig(
     height=384,
@@ -30,17 +32,15 @@ CONFIG = SceneConfig(
 
 def score(matcher, scenes: ProceduralScenes) -> tuple[float, ...]:
     """Means over scenes: EPE in px, D1 and the share of what is taken for far, in %."""
-    rows = []
+    metrics, far = StereoMetrics(), []
     for scene in scenes:
-        (disparity,) = matcher.disparity(scene.left[None], scene.right[None])
-        truth = scene.disparity
-        mask = (truth > 0) & (truth < 192)
-        truth, disparity = truth[mask], disparity[mask]
-        error = (disparity - truth).abs()
-        wrong = (error > 3) & (error > 0.05 * truth)
-        shares = [100 * which.float().mean().item() for which in (wrong, disparity < truth / 2)]
-        rows.append((error.mean().item(), *shares))
-    return tuple(map(statistics.mean, zip(*rows, strict=True)))
+        batch = collate([scene])
+        disparity = matcher.disparity(batch.left, batch.right)
+        metrics.update(disparity, batch)
+        scored = (batch.disparity > 0) & (batch.disparity < metrics.max_disparity)
+        far.append(100 * (disparity < batch.disparity / 2)[scored].float().mean().item())
+    figures = metrics.compute().masks["all"].per_image
+    return figures["epe"], figures["d1"], statistics.mean(far)
 
 
 def main() -> None:
