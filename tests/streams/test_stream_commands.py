@@ -1,10 +1,8 @@
 """The commands video and batch, as a user runs them."""
 
 import re
-import signal
 import sys
 import threading
-from contextlib import nullcontext
 from importlib import import_module
 
 import cv2
@@ -61,7 +59,7 @@ def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypa
         return match(self, left, right)
 
     monkeypatch.setattr(StereoSGBM, "__call__", counted)
-    monkeypatch.setattr(video, "_interrupted", lambda: nullcontext(pressed))
+    monkeypatch.setattr(video, "Event", lambda: pressed)
     command = "video", sequence / "left", sequence / "right", "--frames", sequence / "maps"
     code, out, _ = msnet(*command)
     finished = len(list((sequence / "maps").iterdir()))
@@ -74,16 +72,6 @@ def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypa
     code, out, _ = msnet(*command, "--resume")
     assert (code, len(calls) - 5) == (0, 11 - finished)
     assert "11 frames" in out
-
-
-def test_the_first_ctrl_c_asks_to_stop_and_the_handler_is_given_back():
-    before = signal.getsignal(signal.SIGINT)
-    with video._interrupted() as stop:
-        handler = signal.getsignal(signal.SIGINT)
-        assert handler is not before and not stop.is_set()
-        handler(signal.SIGINT, None)
-        assert stop.is_set() and signal.getsignal(signal.SIGINT) is before
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from typing import Annotated
@@ -66,6 +63,7 @@ def video(
     from mobilestereonet.cli.progress import progress_bar, tell_skipped
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.interruption import ctrl_c_sets
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
     from mobilestereonet.streams.video_files import check_video_file
 
@@ -89,7 +87,8 @@ def video(
     matcher = StereoMatcher.from_pretrained(model, weights=weights, **engine)
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()
-    with progress_bar("frames") as progress, _interrupted() as stop:
+    stop = Event()
+    with progress_bar("frames") as progress, ctrl_c_sets(stop):
         task = progress.add_task("matching", total=stream.total)
 
         def report(frame: StereoFrame) -> None:
@@ -117,20 +116,3 @@ def video(
         print(f"{tally.passed_over} frames of the camera passed over: it is faster than matching")
     if stop.is_set():
         print("stopped" + ("" if stream.live or frames is None else "; --resume goes on from here"))
-
-
-@contextmanager
-def _interrupted() -> Iterator[Event]:
-    """An event that Ctrl-C sets; the second Ctrl-C interrupts as usual."""
-    event = Event()
-    before = signal.getsignal(signal.SIGINT)
-
-    def interrupt(*_: object) -> None:
-        event.set()
-        signal.signal(signal.SIGINT, before)
-
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 from pathlib import Path
-from threading import current_thread, main_thread
-from types import FrameType
+from threading import Event
 from typing import Any
 
 import lightning as L
@@ -66,31 +64,20 @@ class TimeLimit(Timer):
         """Start from zero."""
 
 
-class Interruption(Callback):
-    """Ctrl-C stops the run after the current step, with a checkpoint; a second one at once.
+class StopWhenAsked(Callback):
+    """Stop the run after the step in which it was asked for, in all processes together.
 
-    Lightning puts the handler back at the end of the run. A run in the background, whose parent
-    had Ctrl-C ignored, and one in another thread do not listen.
+    Args:
+        stop: Asks for it; set in every process once one of them was asked.
     """
 
-    def __init__(self) -> None:
-        self.asked = False
-
-    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Listen."""
-        listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        if listens and current_thread() is main_thread():
-            signal.signal(signal.SIGINT, self._ask)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        rank_zero_info("Stopping after this step; Ctrl-C again stops at once")
+    def __init__(self, stop: Event) -> None:
+        self.stop = stop
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
-        """Stop all processes together, without a validation."""
-        self.asked = trainer.strategy.reduce_boolean_decision(self.asked, all=False)
-        if self.asked:
+        """Stop, without a validation."""
+        if trainer.strategy.reduce_boolean_decision(self.stop.is_set(), all=False):
+            self.stop.set()
             trainer.should_stop = True
             trainer.limit_val_batches = 0
 

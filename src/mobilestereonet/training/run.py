@@ -7,7 +7,9 @@ import os
 import signal
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import lightning as L
@@ -25,13 +27,14 @@ from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.data.synthetic import ProceduralScenes
 from mobilestereonet.data.synthetic.textures import find_photographs
 from mobilestereonet.errors import InputError
+from mobilestereonet.interruption import ctrl_c_sets
 from mobilestereonet.nets import is_model, model_name
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,
-    Interruption,
     LastCheckpoint,
     ProgressBar,
+    StopWhenAsked,
     TimeLimit,
     moving_average,
 )
@@ -41,6 +44,8 @@ from mobilestereonet.weights import open_weights, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
+
+_STOPPING = "Stopping after this step; Ctrl-C again stops at once"
 
 
 class RunData(L.LightningDataModule):
@@ -236,13 +241,14 @@ def train(
         _load_initial(module, recipe.weights)
     cuda = accelerator != "cpu" and torch.cuda.is_available()
     average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
+    stop = Event()
     make_folder(folder)
     # Lightning recommends a product with every run.
     rank_zero = logging.getLogger("lightning.pytorch.utilities.rank_zero")
     rank_zero.addFilter(_is_no_advertisement)
     try:
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
-        callbacks += [TimeLimit(max_time), interruption := Interruption()]
+        callbacks += [TimeLimit(max_time), StopWhenAsked(stop)]
         callbacks += [average] if average else []
         callbacks += [ProgressBar()] if progress else []
         trainer = L.Trainer(
@@ -282,7 +288,8 @@ def train(
         )
     # Lightning cannot know that our batches go on where the checkpoint was written.
     warnings.filterwarnings("ignore", ".*your dataloader is not resumable")
-    trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=False)
+    with ctrl_c_sets(stop, partial(rank_zero_info, _STOPPING)):
+        trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=False)
     if average is not None:
         # Lightning does it as well, but not where a resumed run had no step left.
         average.on_train_end(trainer, module)
@@ -293,7 +300,7 @@ def train(
         f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
         + ("" if done >= steps else "; --resume goes on")
     )
-    if interruption.asked and done < steps and trainer.is_global_zero:
+    if stop.is_set() and done < steps and trainer.is_global_zero:
         raise KeyboardInterrupt
     return module
 
