@@ -36,7 +36,7 @@ def test_a_good_pair():
 @pytest.mark.parametrize(
     ("left", "right", "check", "level", "words"),
     [
-        ({"shift": 40}, {}, "order", "problem", "swapped: exchange"),
+        ({"shift": 40}, {}, "order", "problem", "swapped: exchange.*converge"),
         ({}, {"shift": -10}, "order", "problem", "negative disparity|swapped"),
         ({}, {"shift": 40, "down": 3}, "rectified", "problem", "3.0 px higher.*view down"),
         ({}, {"shift": 40, "down": -3}, "rectified", "problem", "3.0 px lower.*view up"),
@@ -60,6 +60,13 @@ def test_range():
     assert finding.level == "problem"
     # The largest disparity is 40 px: 0.9 * 31 / 40.
     assert "0.7" in finding.advice
+
+
+def test_cameras_one_above_the_other():
+    pair = [np.rot90(view).copy() for view in (scene(), scene(40))]
+    findings = {finding.check: finding for finding in check_pair(*pair)}
+    assert findings["rectified"].level == "problem"
+    assert "turn both views by 90 degrees" in findings["rectified"].advice
 
 
 def test_two_scenes_cannot_be_told():

@@ -82,6 +82,16 @@ def test_a_stopped_sequence_goes_on_where_it_was(sequence, matcher, tmp_path):
     after = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
     assert (len(before), len(after)) == (4, 11)
     assert before.items() <= after.items()
+
+    deeper = MapFiles(maps.folder, ("disparity.png", "depth.png"))
+    matcher.count = 0
+    calibration = Calibration(focal=100.0, baseline=0.2)
+    match_video(opened(sequence), matcher, frames=deeper, resume=True, calibration=calibration)
+    assert matcher.count == 0
+    depths = {path.name for path in maps.folder.glob("*_depth.png")}
+    assert len(depths) == 11
+    kept = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
+    assert after.items() <= kept.items()
     with pytest.raises(InputError, match="to resume"):
         match_video(opened(sequence), matcher, resume=True)
 

@@ -24,8 +24,12 @@ def export(
         Path | None,
         typer.Option("--output", "-o", help="File to write. Default: the model's."),
     ] = None,
-    height: Annotated[int, typer.Option(help="Height of a file of fixed size.")] = _SIZE[0],
-    width: Annotated[int, typer.Option(help="Width of a file of fixed size.")] = _SIZE[1],
+    height: Annotated[
+        int, typer.Option(help="Height of a file of fixed size; others are checked at it.")
+    ] = _SIZE[0],
+    width: Annotated[
+        int, typer.Option(help="Width of a file of fixed size; others are checked at it.")
+    ] = _SIZE[1],
     precision: Annotated[
         str | None, typer.Option(help="fp32, fp16 or int8, as the format has it.")
     ] = None,

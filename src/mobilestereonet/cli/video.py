@@ -33,7 +33,11 @@ def video(
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Keep the frames that --frames holds already.")
+        bool,
+        typer.Option(
+            "--resume",
+            help="Keep the maps that --frames holds already, whichever network they are of.",
+        ),
     ] = False,
     beside: Annotated[
         bool, typer.Option("--beside", help="Show the left view beside the colours.")
@@ -111,7 +115,7 @@ def video(
     written = " and ".join(str(path) for path in (output, frames) if path is not None)
     print(f"{written}: {tally.matched} frames, {rate:.2f} per second")
     if tally.broken:
-        print(f"{tally.broken} broken frames skipped")
+        print(f"{tally.broken} broken frame{'s' * (tally.broken > 1)} skipped")
     if tally.passed_over:
         print(f"{tally.passed_over} frames of the camera passed over: it is faster than matching")
     if stop.is_set():

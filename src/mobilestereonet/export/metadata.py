@@ -39,6 +39,7 @@ def describe(
         "std": _numbers(IMAGENET_STD),
         "size": "any" if size is None else "{} x {} (height x width)".format(*size),
         "size_multiple": str(SIZE_MULTIPLE),
+        "smallest_width": str(narrowest(config)),
         "padding": "above and on the right with the border's pixels; crop the disparity likewise",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
         "disparity_range": f"0..{config.max_disparity - 1}",
@@ -53,10 +54,15 @@ def check_size(net: StereoNet, size: tuple[int, int]) -> None:
     """
     for name, value in zip(("height", "width"), size, strict=True):
         if value < SIZE_MULTIPLE or value % SIZE_MULTIPLE:
-            raise InputError(f"{name} must be a multiple of {SIZE_MULTIPLE}, got {value}")
-    if size[1] < narrowest(net):
+            below = max(value // SIZE_MULTIPLE, 1) * SIZE_MULTIPLE
+            raise InputError(
+                f"{name} must be a multiple of {SIZE_MULTIPLE}, got {value}: take {below} or "
+                f"{below + SIZE_MULTIPLE}"
+            )
+    smallest = narrowest(net.config)
+    if size[1] < smallest:
         raise InputError(
-            f"width must be at least {narrowest(net)} for {net.config.max_disparity} disparities, "
+            f"width must be at least {smallest} for {net.config.max_disparity} disparities, "
             f"got {size[1]}"
         )
 

@@ -81,7 +81,7 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
         advice = "take two pictures from places side by side, not one twice"
         return [*findings, Finding("views", "problem", text, advice)]
     order = _order(disparity)
-    findings += [_rectified(vertical, left.shape[0]), order]
+    findings += [_rectified(disparity, vertical, left.shape[0]), order]
     return findings if order.level == "problem" else [*findings, _range(disparity, max_disparity)]
 
 
@@ -142,7 +142,7 @@ def _exposure(left: Picture, right: Picture) -> Finding:
     return Finding("exposure", "good", text)
 
 
-def _rectified(vertical: Points, height: int) -> Finding:
+def _rectified(disparity: Points, vertical: Points, height: int) -> Finding:
     offset = float(np.median(vertical))
     size = float(np.median(np.abs(vertical)))
     text = f"matching features are {size:.1f} px apart vertically (median)"
@@ -154,6 +154,8 @@ def _rectified(vertical: Points, height: int) -> Finding:
         side, move = ("lower", "up") if offset < 0 else ("higher", "down")
         text = f"the right view lies {abs(offset):.1f} px {side} than the left one everywhere"
         advice = f"move the right view {move} by that much, or calibrate and use `msnet rectify`"
+    elif size > 4 * float(np.percentile(np.abs(disparity), 95)):
+        advice = "the cameras stand one above the other: turn both views by 90 degrees"
     else:
         advice = "calibrate the cameras and use `msnet rectify`: rows must match rows"
     return Finding("rectified", "warning" if size <= 2 * tolerance else "problem", text, advice)
@@ -161,17 +163,21 @@ def _rectified(vertical: Points, height: int) -> Finding:
 
 def _order(disparity: Points) -> Finding:
     behind = float(np.mean(disparity < -1))
+    shift = -float(np.percentile(disparity, 1))
+    converge = (
+        "the cameras converge, or the views are cropped differently: rectify them, or move the "
+        f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
+    )
     if behind > 0.8:
         text = f"{behind:.0%} of the features move to the right from the left view to the right one"
-        return Finding("order", "problem", text, "the views are swapped: exchange them")
-    if behind > 0.05:
-        shift = -float(np.percentile(disparity, 1))
-        text = f"{behind:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
         advice = (
-            "the cameras converge, or the views are cropped differently: rectify them, or move the "
-            f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
+            "the views are swapped: exchange them; but if near things are then blue in the picture "
+            f"of `msnet predict`, they were in order, and {converge}"
         )
         return Finding("order", "problem", text, advice)
+    if behind > 0.05:
+        text = f"{behind:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
+        return Finding("order", "problem", text, converge)
     return Finding("order", "good", "left is left and right is right")
 
 

@@ -92,7 +92,7 @@ class ConvertedRuntime(ScoresRuntime):
         """Scores of one pair after the other."""
         self._net.check_views(left, right)
         for pair in zip(*(view.float().cpu().split(1) for view in (left, right)), strict=True):
-            if left.shape[-1] < narrowest(self._net):
+            if left.shape[-1] < narrowest(self._net.config):
                 yield self._narrow_net.scores(*pair)[-1]
             else:
                 yield torch.from_numpy(self._run(*(view.numpy() for view in pair)))

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import NetConfig, StereoNet
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.disparity import Estimator, mode_mask
 from mobilestereonet.nets.normalise import normalise
@@ -21,14 +21,14 @@ from mobilestereonet.runtimes.planewise import PlanewiseLearnedVolume
 from mobilestereonet.runtimes.slices import slice_layers
 
 
-def narrowest(net: StereoNet) -> int:
+def narrowest(config: NetConfig) -> int:
     """Smallest width in px that `Graph` takes: the disparity range and a little more."""
-    return net.config.max_disparity + 16
+    return config.max_disparity + 16
 
 
 def example_pair(net: StereoNet) -> tuple[Tensor, Tensor]:
     """A small pair with which to trace `Graph`; what it is traced with does not matter."""
-    left, right = torch.zeros(2, 1, 3, 32, narrowest(net))
+    left, right = torch.zeros(2, 1, 3, 32, narrowest(net.config))
     return left, right
 
 

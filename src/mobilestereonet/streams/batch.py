@@ -78,7 +78,7 @@ def matched(
     Args:
         frames: The frames.
         matcher: What matches them.
-        finished: Maps of an earlier run: frames that have theirs are not matched again.
+        finished: Maps of an earlier run: frames whose disparity is there are not matched again.
 
     Yields:
         Each frame, also those without a result.
@@ -86,7 +86,7 @@ def matched(
     for frame in frames:
         if frame.views is None:
             yield frame, None
-        elif finished is not None and finished.finished(frame.name):
+        elif finished is not None and finished.matched(frame.name):
             yield frame, finished.load(frame.name, frame.views[0])
         else:
             try:

@@ -80,26 +80,40 @@ class MapFiles:
         """Whether a pair has all its files; each is written in one go, so they are whole."""
         return all(self.path(name, kind).is_file() for kind in self.kinds)
 
+    def matched(self, name: str) -> bool:
+        """Whether a pair's disparity is there, from which `load` has all the others."""
+        return self.path(name, "disparity.png").is_file()
+
     def unfinished(self, pairs: Sequence[Pair]) -> list[Pair]:
         """The pairs that lack a file."""
         return [pair for pair in pairs if not self.finished(pair.name)]
 
-    def save(self, name: str, result: StereoResult, calibration: Calibration | None) -> None:
+    def save(
+        self,
+        name: str,
+        result: StereoResult,
+        calibration: Calibration | None,
+        *,
+        keep: bool = False,
+    ) -> None:
         """Write a pair's maps, each file atomically.
 
         Args:
             name: The pair's name.
             result: What matching it gave.
             calibration: Its geometry; depth needs it.
+            keep: Leave the files that are there as they are.
 
         Raises:
-            InputError: If it is missing, or known to be of another size.
+            InputError: If the calibration is missing, or known to be of another size.
         """
         if calibration is not None and self.needs_calibration:
             height, width = result.disparity.shape
             calibration.require_size(width, height)  # before the first of several files
         for kind in self.kinds:
             path = self.path(name, kind)
+            if keep and path.is_file():
+                continue
             if kind in _WRITERS:
                 _WRITERS[kind](path, result)
             elif calibration is None:

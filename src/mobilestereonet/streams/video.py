@@ -95,8 +95,8 @@ def match_video(
         matcher: What matches them.
         video: Video of the disparity's colours to write; it is there once it is complete.
         frames: Where each frame's maps go, if they are wanted.
-        resume: Take the maps that are in ``frames`` already for those of this stream, and match
-            the other frames only.
+        resume: Take the maps that are in ``frames`` already for those of this stream and matcher;
+            match the other frames only, and make what is missing of the matched ones' maps.
         beside: The video has the left view beside the colours.
         calibration: Geometry of the stream, for depth.
         stop: Ends the stream early once it is set; the video is then a shorter one.
@@ -120,8 +120,8 @@ def match_video(
                 problem = frame.problem
                 tally.broken += 1
             else:
-                if frames is not None and not (resume and frames.finished(frame.name)):
-                    frames.save(frame.name, result, calibration)
+                if frames is not None:
+                    frames.save(frame.name, result, calibration, keep=resume)
                 tally.matched += 1
                 yield frame.seconds, result
             report(frame)
