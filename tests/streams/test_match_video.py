@@ -92,6 +92,12 @@ def test_a_stopped_sequence_goes_on_where_it_was(sequence, matcher, tmp_path):
     assert len(depths) == 11
     kept = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
     assert after.items() <= kept.items()
+    maps.path("view_3", "disparity.png").unlink()  # to be matched again, its depth too
+    match_video(opened(sequence), matcher, frames=deeper, resume=True, calibration=calibration)
+    assert matcher.count == 1
+    again = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
+    changed = {name for name in kept if again[name] != kept[name]}
+    assert changed == {"view_3_disparity.png", "view_3_depth.png"}
     with pytest.raises(InputError, match="to resume"):
         match_video(opened(sequence), matcher, resume=True)
 

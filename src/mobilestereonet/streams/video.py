@@ -121,7 +121,8 @@ def match_video(
                 tally.broken += 1
             else:
                 if frames is not None:
-                    frames.save(frame.name, result, calibration, keep=resume)
+                    before = resume and frames.matched(frame.name)
+                    frames.save(frame.name, result, calibration, keep=before)
                 tally.matched += 1
                 yield frame.seconds, result
             report(frame)
