@@ -161,7 +161,7 @@ def test_a_missing_package_is_named_with_its_extra(net, tmp_path, monkeypatch):
         ({"format_": "gif"}, "unknown format 'gif'"),
         ({"output": "net.onnx"}, "net.onnx: a file for pt2 must end in .pt2"),
         ({"size": (40, 64)}, "height must be a multiple of 16, got 40: take 32 or 48"),
-        ({"size": (32, 0)}, "width must be a multiple of 16, got 0: take 16 or 32"),
+        ({"size": (32, 0)}, "width must be a multiple of 16, got 0: take 48 or 64"),
         ({"size": (32, 32)}, "width must be at least 48 for 32 disparities, got 32"),
         ({"precision": "int8"}, "pt2 has no precision 'int8', only fp32"),
         ({"calibration": "pairs"}, "calibration pairs are for precision int8, not fp32"),

@@ -67,6 +67,7 @@ def test_cameras_one_above_the_other():
     findings = {finding.check: finding for finding in check_pair(*pair)}
     assert findings["rectified"].level == "problem"
     assert "turn both views by 90 degrees" in findings["rectified"].advice
+    assert not {"order", "range"} & set(findings)
 
 
 def test_two_scenes_cannot_be_told():

@@ -52,14 +52,16 @@ def check_size(net: StereoNet, size: tuple[int, int]) -> None:
     Raises:
         InputError: If they are not positive multiples of 16, or the width is too small.
     """
-    for name, value in zip(("height", "width"), size, strict=True):
+    smallest = narrowest(net.config)
+    for name, value, least in zip(
+        ("height", "width"), size, (SIZE_MULTIPLE, smallest), strict=True
+    ):
         if value < SIZE_MULTIPLE or value % SIZE_MULTIPLE:
-            below = max(value // SIZE_MULTIPLE, 1) * SIZE_MULTIPLE
+            below = max(value // SIZE_MULTIPLE * SIZE_MULTIPLE, least)
             raise InputError(
                 f"{name} must be a multiple of {SIZE_MULTIPLE}, got {value}: take {below} or "
                 f"{below + SIZE_MULTIPLE}"
             )
-    smallest = narrowest(net.config)
     if size[1] < smallest:
         raise InputError(
             f"width must be at least {smallest} for {net.config.max_disparity} disparities, "

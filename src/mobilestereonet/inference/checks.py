@@ -80,8 +80,12 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
         text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
         advice = "take two pictures from places side by side, not one twice"
         return [*findings, Finding("views", "problem", text, advice)]
+    if _above_each_other(disparity, vertical):
+        text = f"features move by {np.median(np.abs(vertical)):.0f} px vertically (median)"
+        advice = "the cameras stand one above the other: turn both views by 90 degrees"
+        return [*findings, Finding("rectified", "problem", text, advice)]
     order = _order(disparity)
-    findings += [_rectified(disparity, vertical, left.shape[0]), order]
+    findings += [_rectified(vertical, left.shape[0]), order]
     return findings if order.level == "problem" else [*findings, _range(disparity, max_disparity)]
 
 
@@ -142,7 +146,14 @@ def _exposure(left: Picture, right: Picture) -> Finding:
     return Finding("exposure", "good", text)
 
 
-def _rectified(disparity: Points, vertical: Points, height: int) -> Finding:
+def _above_each_other(disparity: Points, vertical: Points) -> bool:
+    """Whether the vertical movement is the one that differs with the distance."""
+    differ = float(np.median(np.abs(vertical - np.median(vertical)))) > 0.5
+    horizontal = float(np.percentile(np.abs(disparity), 95))
+    return differ and float(np.median(np.abs(vertical))) > 4 * horizontal
+
+
+def _rectified(vertical: Points, height: int) -> Finding:
     offset = float(np.median(vertical))
     size = float(np.median(np.abs(vertical)))
     text = f"matching features are {size:.1f} px apart vertically (median)"
@@ -154,8 +165,6 @@ def _rectified(disparity: Points, vertical: Points, height: int) -> Finding:
         side, move = ("lower", "up") if offset < 0 else ("higher", "down")
         text = f"the right view lies {abs(offset):.1f} px {side} than the left one everywhere"
         advice = f"move the right view {move} by that much, or calibrate and use `msnet rectify`"
-    elif size > 4 * float(np.percentile(np.abs(disparity), 95)):
-        advice = "the cameras stand one above the other: turn both views by 90 degrees"
     else:
         advice = "calibrate the cameras and use `msnet rectify`: rows must match rows"
     return Finding("rectified", "warning" if size <= 2 * tolerance else "problem", text, advice)

@@ -81,8 +81,9 @@ class MapFiles:
         return all(self.path(name, kind).is_file() for kind in self.kinds)
 
     def matched(self, name: str) -> bool:
-        """Whether a pair's disparity is there, from which `load` has all the others."""
-        return self.path(name, "disparity.png").is_file()
+        """Whether a pair's disparities are there: the others are made of the PNG, to 1/256 px."""
+        kinds = [kind for kind in self.kinds if kind.startswith("disparity")]
+        return all(self.path(name, kind).is_file() for kind in ("disparity.png", *kinds))
 
     def unfinished(self, pairs: Sequence[Pair]) -> list[Pair]:
         """The pairs that lack a file."""
