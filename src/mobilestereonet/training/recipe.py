@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import json
 import math
 from collections.abc import Mapping
@@ -286,6 +287,15 @@ def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
     return cast(Recipe, _build(Recipe, record, "recipe"))
 
 
+def _did_you_mean(key: str) -> str:
+    """Values of a recipe or its parts, by the names that ``--set`` takes, whose own name is like."""
+    names = list(_values(get_recipe("procedural")))
+    parts = [name.rpartition(".")[2] for name in names]
+    near = difflib.get_close_matches(key, parts, n=1, cutoff=0.65)
+    like = [name for name, part in zip(names, parts, strict=True) if part in near]
+    return f" (did you mean {' or '.join(like)}?)" if like else ""
+
+
 def _build(hint: Any, value: Any, name: str) -> Any:
     """A value of the hinted type from plain JSON: dataclasses and tuples, nested."""
     kind, members = get_origin(hint) or hint, get_args(hint)
@@ -293,7 +303,9 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         hints = get_type_hints(kind)
         for key in value:
             if key not in hints:
-                raise InputError(f"{name} has no value {key!r}, only {', '.join(hints)}")
+                raise InputError(
+                    f"{name} has no value {key!r}{_did_you_mean(key)}, only {', '.join(hints)}"
+                )
         parts = {key: _build(hints[key], item, key) for key, item in value.items()}
         return cast(Any, kind)(**parts)
     if kind in (UnionType, Union):
