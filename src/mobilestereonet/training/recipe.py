@@ -288,7 +288,7 @@ def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
 
 
 def _did_you_mean(key: str) -> str:
-    """Values of a recipe or its parts, by the names that ``--set`` takes, whose own name is like."""
+    """The names, as ``--set`` takes them, whose last part is most like ``key``."""
     names = list(_values(get_recipe("procedural")))
     parts = [name.rpartition(".")[2] for name in names]
     near = difflib.get_close_matches(key, parts, n=1, cutoff=0.65)
