@@ -56,7 +56,7 @@ def test_numbers_instead_of_a_file(msnet, folder):
 def test_a_baseline_in_millimetres_is_asked_about(msnet, folder):
     numbers = ("--focal", 500, "--baseline", 100, "--doffs", 5)
     code, _, err = predict(msnet, folder, "--depth", folder / "depth.npy", *numbers)
-    assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres?\n")
+    assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres? 100 mm would be 0.1\n")
 
 
 def test_left_right(msnet, folder):

@@ -55,6 +55,14 @@ def test_what_is_wrong_is_said(left, right, check, level, words):
     assert re.search(words, str(findings[check]))
 
 
+def test_swapped_views_of_which_a_part_is_far():
+    far, near = scene(), scene(40)
+    third = len(far) // 3
+    pair = np.vstack((far[:third], near[third:])), far
+    findings = {finding.check: finding for finding in check_pair(*pair)}
+    assert "the views are swapped" in findings["order"].advice
+
+
 def test_range():
     (finding,) = [f for f in check_pair(scene(), scene(40), 32) if f.check == "range"]
     assert finding.level == "problem"

@@ -226,7 +226,7 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no weights of 'baseline3d'"):
         StereoMatcher.from_pretrained("baseline3d")
     with pytest.raises(
-        InputError, match="msnet2d names embedded weights: choose them by the model"
+        InputError, match="msnet2d names embedded weights: choose them as model, --model msnet2d"
     ):
         StereoMatcher.from_pretrained(weights="msnet2d")
     with pytest.raises(InputError, match="unknown model 'raft'"):

@@ -96,6 +96,7 @@ def test_override():
         ({"seed": -1}, "seed must be in"),
         ({"schedule": [[0.5, 1], [0.2, 1]]}, "shares that rise"),
         ({"schedule": [[0, 1], [1.5, 1]]}, "shares that rise"),
+        ({"augment.height": -5}, "augment: height must be positive, got -5"),
         ({"scenes.kinds.cave": 1.0}, "kinds"),
         ({"scenes.kinds": "{room: 1}"}, "kinds must be a JSON object .*, got '{room: 1}'"),
         ({"data_options": "all"}, "data_options must be a JSON object"),

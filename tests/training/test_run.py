@@ -38,7 +38,8 @@ def _train(folder, recipe=RECIPE, **options):
 
 def test_a_run_and_its_folder(tmp_path, monkeypatch):
     said = []
-    monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
+    for module in ("run", "module"):
+        monkeypatch.setattr(f"mobilestereonet.training.{module}.rank_zero_info", said.append)
     folder = tmp_path / "new" / "run"
     module = _train(folder)
     assert said[-1] == f"{folder}/weights.safetensors: {RECIPE.model} after 2 of 2 steps"
@@ -65,10 +66,12 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
     name = "heads.1.score.weight"
     assert not torch.equal(weights[name], current[f"net.{name}"].half())
 
-    assert not any("recipe has changed" in line for line in said)
+    assert not any("has changed" in line for line in said)
     noisy = replace(RECIPE, lr=2 * RECIPE.lr, augment=replace(RECIPE.augment, noise=0.5))
-    _train(folder, noisy, resume=True)
+    _train(folder, noisy, resume=True, precision="bf16-mixed")
     change = f"augment.noise {RECIPE.augment.noise} -> 0.5, lr {RECIPE.lr} -> {2 * RECIPE.lr}"
+    assert any(line.endswith(change) for line in said)
+    change = "precision has changed: 32-true -> bf16-mixed; --precision 32-true keeps it"
     assert any(line.endswith(change) for line in said)
 
 

@@ -58,7 +58,8 @@ def calibration_from(
         return read_calibration(calib, left=calib_left, unit=unit)
     if focal is not None and baseline is not None:
         if baseline > WIDEST:
-            print(f"msnet: a baseline of {baseline:g} m: is it in metres?", file=sys.stderr)
+            say = f"is it in metres? {baseline:g} mm would be {baseline / 1000:g}"
+            print(f"msnet: a baseline of {baseline:g} m: {say}", file=sys.stderr)
         return Calibration(focal=focal, baseline=baseline, doffs=doffs)
     if any(numbers) or doffs or calib_left is not None:
         raise InputError("a calibration needs --calib FILE, or both --focal and --baseline")

@@ -35,7 +35,9 @@ def train(
     resume: Annotated[
         bool,
         typer.Option(
-            "--resume", help="Go on exactly where FOLDER/last.ckpt was written, under its recipe."
+            "--resume",
+            help="Go on exactly where FOLDER/last.ckpt was written, under its recipe; repeat "
+            "--precision.",
         ),
     ] = False,
     max_time: Annotated[

@@ -46,6 +46,9 @@ class AugmentConfig:
         noise: Largest standard deviation of the sensor noise (1 = white), drawn per view.
         patch_probability: Probability that a patch of the right view is painted in its mean colour.
         patch: Range of the patch's sides in pixels.
+
+    Raises:
+        InputError: If height or width are not positive.
     """
 
     height: int | None = None
@@ -67,6 +70,12 @@ class AugmentConfig:
     noise: float = 0.0
     patch_probability: float = 0.0
     patch: tuple[int, int] = (20, 80)
+
+    def __post_init__(self) -> None:
+        for name in ("height", "width"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise InputError(f"augment: {name} must be positive, got {value}")
 
 
 def geometry_only(config: AugmentConfig) -> AugmentConfig:

@@ -343,7 +343,8 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
         return model, load_pretrained(model)
     if str(weights) in embedded_models():
         raise InputError(
-            f"{weights} names embedded weights: choose them by the model, without a weights file"
+            f"{weights} names embedded weights: choose them as model, --model {weights}, "
+            "without a weights file"
         )
     net = load_weights(weights)
     config = net.config

@@ -12,6 +12,7 @@ import lightning as L
 import torch
 import torch.distributed as dist
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 from torch.nn.utils import (
     convert_conv2d_weight_memory_format,
@@ -86,6 +87,19 @@ class StereoModule(L.LightningModule):
         size = [math.ceil(side / SIZE_MULTIPLE) * SIZE_MULTIPLE for side in (height, width)]
         views = [pad(normalise(view), *size) for view in (left, right)]
         return unpad(cast(Tensor, self.net(*views)), height, width)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Note the precision, which the recipe does not hold."""
+        checkpoint["precision"] = self.trainer.precision
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Tell where a run goes on in another precision."""
+        now = self.trainer.precision
+        if (before := checkpoint.get("precision", now)) != now:
+            rank_zero_info(
+                f"Not an exact continuation, the precision has changed: {before} -> {now}; "
+                f"--precision {before} keeps it"
+            )
 
     def on_train_start(self) -> None:
         """Start the clock."""
