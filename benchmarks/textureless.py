@@ -82,7 +82,9 @@ def score(matcher, scenes: Iterable[StereoSample]) -> tuple[float, ...]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--scenes", type=int, default=16, help="scenes of each sort")
+    parser.add_argument(
+        "--scenes", type=int, default=16, help="scenes of each sort; half as many squares"
+    )
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
     parser.add_argument("--precision", default="fp32", help="the networks': fp32, bf16")
     arguments = parser.parse_args()
@@ -90,7 +92,10 @@ def main() -> None:
     sorts = {
         "textured": ProceduralScenes(config),
         "textureless": ProceduralScenes(replace(config, textureless=1.0)),
-    } | {f"squares of {side} px": list(squares(side, arguments.scenes // 2)) for side in SQUARES}
+    } | {
+        f"squares of {side} px": list(squares(side, (arguments.scenes + 1) // 2))
+        for side in SQUARES
+    }
     table = Table("model", "surfaces", "EPE, px", "D1, %", "less than half, %")
     for name, matcher in matchers(arguments.weights, arguments.precision).items():
         for sort, scenes in sorts.items():

@@ -81,6 +81,8 @@ def test_override():
         ({"colour": "red"}, "no value 'colour', only model"),
         ({"augment.colour": 1}, "augment has no value 'colour'"),
         ({"crop_height": 256}, r"'crop_height' \(did you mean scenes.height or augment.height\?\)"),
+        ({"scene.height": 256}, r"no value 'scene' \(did you mean scenes\?\)"),
+        ({"scenes.heigth": 256}, r"no value 'heigth' \(did you mean height\?\)"),
         ({"lr.fast": 1}, "lr has no parts"),
         ({"augment": 5}, "augment must be a JSON object with some of height, width"),
         ({"steps": "many"}, "steps must be int"),

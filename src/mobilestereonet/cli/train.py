@@ -37,7 +37,7 @@ def train(
         typer.Option(
             "--resume",
             help="Go on exactly where FOLDER/last.ckpt was written, under its recipe; repeat "
-            "--precision.",
+            "--precision and the devices' options.",
         ),
     ] = False,
     max_time: Annotated[

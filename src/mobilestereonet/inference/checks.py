@@ -177,7 +177,7 @@ def _order(disparity: Points) -> Finding:
         "the cameras converge, or the views are cropped differently: rectify them, or move the "
         f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
     )
-    if behind > max(0.05, 4 * ahead):
+    if behind > max(0.3, 4 * ahead):
         text = f"{behind:.0%} of the features move to the right from the left view to the right one"
         advice = (
             "the views are swapped: exchange them; but if near things are then blue in the picture "

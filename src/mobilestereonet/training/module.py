@@ -94,6 +94,8 @@ class StereoModule(L.LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Tell where a run goes on in another precision."""
+        if self._trainer is None:  # loaded without a run
+            return
         now = self.trainer.precision
         if (before := checkpoint.get("precision", now)) != now:
             rank_zero_info(

@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -287,12 +287,14 @@ def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
     return cast(Recipe, _build(Recipe, record, "recipe"))
 
 
-def _did_you_mean(key: str) -> str:
-    """The names, as ``--set`` takes them, whose last part is most like ``key``."""
-    names = list(_values(get_recipe("procedural")))
-    parts = [name.rpartition(".")[2] for name in names]
-    near = difflib.get_close_matches(key, parts, n=1, cutoff=0.65)
-    like = [name for name, part in zip(names, parts, strict=True) if part in near]
+def _did_you_mean(key: str, own: Iterable[str]) -> str:
+    """The name most like ``key``: one of the part that it was looked for in, or of any other."""
+    like = difflib.get_close_matches(key, own, n=1, cutoff=0.75)
+    if not like:
+        names = list(_values(get_recipe("procedural")))
+        parts = [name.rpartition(".")[2] for name in names]
+        near = difflib.get_close_matches(key, parts, n=1, cutoff=0.65)
+        like = [name for name, part in zip(names, parts, strict=True) if part in near]
     return f" (did you mean {' or '.join(like)}?)" if like else ""
 
 
@@ -303,9 +305,8 @@ def _build(hint: Any, value: Any, name: str) -> Any:
         hints = get_type_hints(kind)
         for key in value:
             if key not in hints:
-                raise InputError(
-                    f"{name} has no value {key!r}{_did_you_mean(key)}, only {', '.join(hints)}"
-                )
+                near = _did_you_mean(key, hints)
+                raise InputError(f"{name} has no value {key!r}{near}, only {', '.join(hints)}")
         parts = {key: _build(hints[key], item, key) for key, item in value.items()}
         return cast(Any, kind)(**parts)
     if kind in (UnionType, Union):
