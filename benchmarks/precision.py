@@ -23,7 +23,7 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets import StereoNet
 from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.weights import open_weights
 
@@ -35,7 +35,7 @@ class File:
     """An exported file as an engine: its views are not normalised, it does that itself."""
 
     normalised = False
-    multiple = SIZE_MULTIPLE
+    multiple = 32
     precision = "the file's"
 
     def __init__(self, path: Path, max_disparity: int) -> None:

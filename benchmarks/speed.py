@@ -83,7 +83,7 @@ class Case:
             return create_model(self.model, max_disparity=self.max_disparity).eval()
         net = load_pretrained(self.model)
         # As the authors estimate, for the differences; "mode" takes some percent more time.
-        net.config = replace(net.config, estimator="mean")
+        net.config = replace(net.config, estimator="mean", coarse_pass=False)
         return net
 
     def views(self) -> tuple[Tensor, Tensor]:

@@ -20,7 +20,7 @@ def draw_interlacing(path: Path) -> None:
     Args:
         path: Picture to write.
     """
-    convolutions = list(LearnedVolume(48, "interlaced-4").conv)
+    convolutions = list(LearnedVolume("interlaced-4").conv)
     depths = [2 * REDUCED_CHANNELS]
     for conv in convolutions:
         depths.append(depths[-1] // conv.stride[0])

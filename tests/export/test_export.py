@@ -72,6 +72,26 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
+@pytest.mark.parametrize("name", ["onnx", "openvino", "executorch", "litert"])
+def test_files_of_networks_with_a_coarse_pass(name, tmp_path):
+    format_ = needs(name)
+    torch.manual_seed(0)
+    net = create_model("msnet3d", **SMALL, groups=8, coarse_pass=True).eval()
+    net.zero_residuals()
+    torch.nn.init.normal_(net.guide.weight)
+    output = tmp_path / f"small{format_.ending}"
+    assert export_model(name, net, output, model="small", size=(32, 64)).mean <= 1e-4
+    left, right = torch.rand(2, 1, 3, 32, 64)
+    torch.testing.assert_close(
+        format_.open(output)(left, right),
+        expected(net, left, right),
+        rtol=0,
+        atol=1e-3,
+        check_stride=False,
+    )
+    assert format_.read_metadata(output)["size_multiple"] == "32"
+
+
 def replace_estimator(net, estimator):
     other = create_model("msnet2d", **SMALL, estimator=estimator).eval()
     other.load_state_dict(net.state_dict())

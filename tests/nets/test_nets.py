@@ -5,6 +5,7 @@ import torch
 import torch.nn.functional as F
 
 from mobilestereonet import InputError, NetConfig, StereoNet, create_model, list_models
+from mobilestereonet.nets.coarse_pass import guidance
 from mobilestereonet.nets.config import FEATURE_CHANNELS
 from mobilestereonet.nets.cost_volumes import build_cost_volume
 from mobilestereonet.nets.disparity import regress_disparity, soft_argmax
@@ -107,7 +108,7 @@ def test_cost_volume_equals_a_loop_over_disparities(kind, width):
     volume = volume_of(kind, planes).eval()
     left, right = torch.randn(2, 2, 32, 4, width, dtype=torch.float64)
     with torch.no_grad():
-        result = volume(left, right)
+        result = volume(left, right, planes)
         channels = 8 if kind == "groupwise" else 1
         expected = torch.zeros(2, channels, planes, 4, width, dtype=torch.float64)
         for i in range(min(planes, width)):
@@ -126,7 +127,7 @@ def test_training_takes_statistics_over_the_columns_with_a_partner(kind, width):
         norm.momentum = 1.0  # the running statistics are those of this batch
     left, right = torch.randn(2, 2, 32, 4, width, dtype=torch.float64)
     with torch.no_grad():
-        result = volume(left, right)
+        result = volume(left, right, planes)
     # Layer by layer: every plane apart, statistics over the columns of all of them.
     xs = [first_volume(kind, *cropped(left, right, i)) for i in range(min(planes, width))]
     layers = [*zip(volume.conv, volume.norm, strict=True), (volume.squeeze[0], norms[-1])]
@@ -156,7 +157,7 @@ def test_gradient_of_the_volume_in_training(kind, width):
     probe = torch.randn(1, 1, 8, 2, width, dtype=torch.float64)
 
     def value(pair):
-        return (volume(pair[0], pair[1]) * probe).sum()
+        return (volume(pair[0], pair[1], 8) * probe).sum()
 
     (gradient,) = torch.autograd.grad(value(views), views)
     direction = torch.randn_like(views)
@@ -245,6 +246,8 @@ def test_soft_argmax_at_its_limits():
         ({"max_disparity": 100}, "multiple of 16 in 32..512, got 100"),
         ({"max_disparity": 16}, "got 16"),
         ({"max_disparity": 528}, "got 528"),
+        ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
+        ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
         ({"cost_volume": "groupwise", "groups": 7}, "groups must divide the 32 channels"),
         ({"channel_reduction": False}, "set channel_reduction=True"),
     ],
@@ -252,6 +255,42 @@ def test_soft_argmax_at_its_limits():
 def test_refused_configs(fields, message):
     with pytest.raises(InputError, match=message):
         NetConfig(**{"dims": 2, **fields})
+
+
+def test_guidance_is_the_coarse_distribution_upsampled():
+    torch.manual_seed(0)
+    scores = 4 * torch.randn(2, 6, 3, 5, dtype=torch.float64)
+    likely = scores.log_softmax(dim=1).clamp(min=-8) / 8 + 1
+    expected = F.interpolate(likely[:, None], scale_factor=2, mode="trilinear")[:, 0]
+    assert (likely == 0).any() and likely.max() > 0.9
+    torch.testing.assert_close(guidance(scores), expected, rtol=0, atol=1e-12)
+    assert guidance(scores.bfloat16()).dtype == torch.bfloat16
+
+
+def test_coarse_pass():
+    torch.manual_seed(0)
+    net = create_model("msnet3d", max_disparity=64, hourglasses=1, coarse_pass=True).eval()
+    plain = create_model("msnet3d", max_disparity=64, hourglasses=1).eval()
+    state = net.state_dict()
+    weight = state.pop("guide.weight")
+    plain.load_state_dict(state)
+    views = torch.randn(2, 1, 3, 64, 128)
+    with torch.no_grad():
+        # Zero at first: the network is what it was without.
+        torch.testing.assert_close(net(*views), plain(*views), rtol=0, atol=0)
+        weight.normal_()
+        halves = [F.avg_pool2d(view, 2) for view in views]
+        half = create_model("msnet3d", max_disparity=32, hourglasses=1).eval()
+        half.load_state_dict(state)
+        told = guidance(half.scores(*halves)[-1])
+        torch.testing.assert_close(net.guidance(*views), told, rtol=0, atol=1e-5)
+        expected = net.aggregate(net.cost_volume(*views), told)[-1]
+        torch.testing.assert_close(net.scores(*views)[-1], expected, rtol=0, atol=1e-4)
+        assert (expected - plain.scores(*views)[-1]).abs().max() > 0.1
+    net.train().guidance(*views)
+    assert net.training and net.features.training
+    with pytest.raises(InputError, match="multiples of 32, got 48 x 128"):
+        net(*views[..., :48, :])
 
 
 def test_refused_names_and_overrides():

@@ -42,6 +42,8 @@ def small(name="msnet2d", **options):
                 module.bias.normal_(0, 0.1)
                 module.running_mean.normal_(0, 0.1)
                 module.running_var.uniform_(0.5, 1.5)
+        if net.config.coarse_pass:
+            net.guide.weight.normal_()
     return net
 
 
@@ -55,14 +57,22 @@ def cache(tmp_path_factory):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize(("name", "estimator"), [("msnet2d", "mode"), ("msnet3d", "mean")])
-def test_every_size_gives_what_the_network_gives(engine, name, estimator, cache):
-    net = small(name, estimator=estimator)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("msnet2d", {"estimator": "mode"}),
+        ("msnet3d", {}),
+        ("msnet3d", {"coarse_pass": True}),
+    ],
+)
+def test_every_size_gives_what_the_network_gives(engine, name, options, cache):
+    net = small(name, **options)
     runtime = engine(net, threads=1, cache=cache)
     assert isinstance(runtime, ConfidentRuntime)
     # The last one is narrower than the converted graph takes.
-    for batch, height, width in ((1, 32, 64), (2, 48, 112), (1, 16, 32)):
-        left, right = views(height, width, batch)
+    unit = net.config.size_multiple
+    for batch, height, width in ((1, 2, 4), (2, 3, 7), (1, 1, 1)):
+        left, right = views(height * unit, width * unit, batch)
         with torch.no_grad():
             expected = net(left, right)
         found = runtime(left, right)

@@ -47,6 +47,8 @@ def network(name, **fields):
             value.normal_(std=0.1)
         elif value.ndim == 1 and value.is_floating_point():
             value.uniform_(0.7, 1.3) if not key.endswith("bias") else value.normal_(std=0.1)
+        elif key == "guide.weight":
+            value.normal_()
     left, right = torch.randn(2, 2, 3, 32, 64)
     with torch.no_grad():
         scores = net.scores(left, right)[-1]
@@ -60,10 +62,12 @@ def slices_of(monkeypatch, size):
     monkeypatch.setattr(fused, "MIN_ROWS", 1)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_rewritings_keep_the_result(name, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "coarse_pass"), [*((name, False) for name in NAMES), ("msnet3d", True)]
+)
+def test_rewritings_keep_the_result(name, coarse_pass, monkeypatch):
     slices_of(monkeypatch, 10000)
-    net, left, right = network(name)
+    net, left, right = network(name, coarse_pass=coarse_pass)
     net, left, right = net.double(), left.double(), right.double()
     with torch.inference_mode():
         expected = net(left, right)

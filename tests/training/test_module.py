@@ -150,6 +150,24 @@ def test_views_of_any_size():
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.filterwarnings("ignore")
+def test_one_step_in_four_is_without_guidance():
+    guided = []
+
+    class Guided(L.Callback):
+        def on_before_optimizer_step(self, trainer, pl_module, optimizer) -> None:
+            guided.append(bool(pl_module.net.guide.weight.grad.any()))
+
+    recipe = replace(RECIPE, model="table3b-v1-v2", coarse_pass=True)
+    generator = torch.Generator().manual_seed(0)
+    left, right = torch.rand(2, 1, 3, 32, 64, generator=generator)
+    truth = torch.full((1, 32, 64), 9.0)
+    pair = StereoSample(left, right, truth, truth > 0, name="pair")
+    module = fit([TrainingBatch(pair)] * 6, recipe, [Guided()])
+    assert guided == [False, True, True, True, False, True]
+    assert module.net.guide.weight.any()
+
+
 def test_data_without_ground_truth():
     batch = replace(_batch(1), disparity=None, valid=None)
     with pytest.raises(InputError, match="1 has no ground truth"):

@@ -102,6 +102,18 @@ def test_initial_weights(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+def test_a_coarse_pass_starts_from_weights_without_one(tmp_path):
+    initial = tmp_path / "initial.safetensors"
+    save_weights(create_model("table3b-v1-v2", max_disparity=32), initial)
+    crop = AugmentConfig(height=32, width=64)
+    recipe = replace(RECIPE, model="table3b-v1-v2", weights=str(initial), steps=1, augment=crop)
+    _train(tmp_path / "coarse", replace(recipe, coarse_pass=True))
+    coarse = str(tmp_path / "coarse/weights.safetensors")
+    assert load_weights(coarse).config.coarse_pass
+    with pytest.raises(InputError, match=r"add --set model=table3b-v1-v2 --set coarse_pass=true$"):
+        _train(tmp_path / "plain", replace(recipe, weights=coarse))
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import SIZE_MULTIPLE, NetConfig, StereoNet
+from mobilestereonet.nets import NetConfig, StereoNet
 from mobilestereonet.nets.config import REDUCED_CHANNELS
 from mobilestereonet.nets.cost_volumes import LearnedVolume
 
@@ -135,19 +135,21 @@ def count_costs(config: NetConfig, height: int = 256, width: int = 512) -> dict[
 
     Args:
         config: The network.
-        height: Height of a view, a multiple of 16.
-        width: Width of a view, a multiple of 16.
+        height: Height of a view, a multiple of the config's ``size_multiple``.
+        width: Width of a view, likewise.
 
     Returns:
         Cost of "features" (both views), "channel reduction" (both views), "cost volume",
-        "pre-hourglass", "hourglasses", "heads" and, last, "total".
+        "pre-hourglass", "hourglasses", "heads", for a network with one "coarse pass" and, last,
+        "total".
 
     Raises:
-        InputError: If the size is not a positive multiple of 16.
+        InputError: If the size is not a positive multiple.
     """
+    multiple = config.size_multiple
     for name, size in (("height", height), ("width", width)):
-        if size < SIZE_MULTIPLE or size % SIZE_MULTIPLE:
-            raise InputError(f"{name} must be a positive multiple of {SIZE_MULTIPLE}, got {size}")
+        if size < multiple or size % multiple:
+            raise InputError(f"{name} must be a positive multiple of {multiple}, got {size}")
     with torch.device("meta"):
         net = StereoNet(config).eval()
         views = torch.empty(2, 3, height, width)
@@ -164,5 +166,10 @@ def count_costs(config: NetConfig, height: int = 256, width: int = 512) -> dict[
     costs["heads"], _ = _trace(net.heads[-1], x)
     training_heads = sum(parameter.numel() for parameter in net.heads[:-1].parameters())
     costs["heads"] += Cost(params=training_heads)
+    if config.coarse_pass:
+        half = replace(config, coarse_pass=False, max_disparity=config.max_disparity // 2)
+        passed = count_costs(half, height // 2, width // 2)["total"]
+        guide, _ = _trace(net.guide, views.new_empty(1, 1, config.planes, *quarter))
+        costs["coarse pass"] = guide + Cost(macs=passed.macs, paper_macs=passed.paper_macs)
     costs["total"] = sum(costs.values(), Cost())
     return costs

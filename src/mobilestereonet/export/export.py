@@ -23,7 +23,7 @@ from mobilestereonet.export.onnx import ONNX
 from mobilestereonet.export.openvino import OpenVINO
 from mobilestereonet.export.pairs import calibration_pairs, real_pair
 from mobilestereonet.export.pt2 import PT2
-from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.runtimes.compare import times_in_turns
 
@@ -88,7 +88,7 @@ def export_model(
         embedded: Whether its weights are those that come with the package, whose licence is known.
         precision: One of the format's; its first one by default.
         size: Height and width of a file of fixed size; others are compared at this one and at one
-            that is 16 px higher and 32 px wider.
+            that is one multiple higher and two wider.
         calibration: Folder of pairs for "int8"; see `calibration_pairs`.
 
     Returns:
@@ -139,7 +139,8 @@ def export_model(
         if run is None:
             return export
         if format_of_file.dynamic:
-            larger = (size[0] + SIZE_MULTIPLE, size[1] + 2 * SIZE_MULTIPLE)
+            multiple = net.config.size_multiple
+            larger = (size[0] + multiple, size[1] + 2 * multiple)
             _compare(run, net, real_pair(larger), format_, TOLERANCE[precision])
         pair = real_pair(size)
         difference = _compare(run, net, pair, format_, TOLERANCE[precision])

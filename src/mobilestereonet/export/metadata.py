@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mobilestereonet
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import SIZE_MULTIPLE, NetConfig, StereoNet
+from mobilestereonet.nets import NetConfig, StereoNet
 from mobilestereonet.nets.normalise import IMAGENET_MEAN, IMAGENET_STD
 from mobilestereonet.runtimes.graph import narrowest
 from mobilestereonet.weights import card, embedded_models
@@ -38,7 +38,7 @@ def describe(
         "mean": _numbers(IMAGENET_MEAN),
         "std": _numbers(IMAGENET_STD),
         "size": "any" if size is None else "{} x {} (height x width)".format(*size),
-        "size_multiple": str(SIZE_MULTIPLE),
+        "size_multiple": str(config.size_multiple),
         "smallest_width": str(narrowest(config)),
         "padding": "above and on the right with the border's pixels; crop the disparity likewise",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
@@ -50,17 +50,15 @@ def check_size(net: StereoNet, size: tuple[int, int]) -> None:
     """Check the height and width of an export.
 
     Raises:
-        InputError: If they are not positive multiples of 16, or the width is too small.
+        InputError: If they are no positive multiples of the network's, or the width is too small.
     """
-    smallest = narrowest(net.config)
-    for name, value, least in zip(
-        ("height", "width"), size, (SIZE_MULTIPLE, smallest), strict=True
-    ):
-        if value < SIZE_MULTIPLE or value % SIZE_MULTIPLE:
-            below = max(value // SIZE_MULTIPLE * SIZE_MULTIPLE, least)
+    smallest, multiple = narrowest(net.config), net.config.size_multiple
+    for name, value, least in zip(("height", "width"), size, (multiple, smallest), strict=True):
+        if value < multiple or value % multiple:
+            below = max(value // multiple * multiple, least)
             raise InputError(
-                f"{name} must be a multiple of {SIZE_MULTIPLE}, got {value}: take {below} or "
-                f"{below + SIZE_MULTIPLE}"
+                f"{name} must be a multiple of {multiple}, got {value}: take {below} or "
+                f"{below + multiple}"
             )
     if size[1] < smallest:
         raise InputError(

@@ -1,11 +1,10 @@
 """The networks: configs, blocks, cost volumes, hourglasses and their assembly."""
 
 from mobilestereonet.nets.config import NetConfig
-from mobilestereonet.nets.stereo_net import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets.stereo_net import StereoNet
 from mobilestereonet.nets.zoo import create_model, is_model, list_models, model_config, model_name
 
 __all__ = [
-    "SIZE_MULTIPLE",
     "NetConfig",
     "StereoNet",
     "create_model",

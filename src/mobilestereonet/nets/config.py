@@ -56,6 +56,8 @@ class NetConfig:
             (but its last), as in the authors' 2D network.
         estimator: How a disparity comes from its distribution: "mean" as in the paper, "mode" for
             sharp edges (see `nets.disparity`). In training every head takes the mean.
+        coarse_pass: A first pass at half of the size guides the second (see `nets.coarse_pass`):
+            for large surfaces without texture. Not in the paper; 3D alone.
     """
 
     dims: Literal[2, 3]
@@ -76,6 +78,7 @@ class NetConfig:
     v2_skip: bool = True
     v2_relu: bool = True
     estimator: Estimator = "mean"
+    coarse_pass: bool = False
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[object, ...]] = {
@@ -100,6 +103,11 @@ class NetConfig:
             raise InputError(
                 f"max_disparity must be a multiple of 16 in 32..512, got {self.max_disparity}"
             )
+        if self.coarse_pass and (self.dims == 2 or self.max_disparity % 32):
+            raise InputError(
+                "coarse_pass needs dims=3 and max_disparity a multiple of 32, "
+                f"got dims={self.dims} and {self.max_disparity}"
+            )
         if self.cost_volume == "groupwise" and self.volume_input % self.groups:
             raise InputError(
                 f"groups must divide the {self.volume_input} channels of a view, got {self.groups}"
@@ -119,6 +127,11 @@ class NetConfig:
     def planes(self) -> int:
         """Disparities of the cost volume, at a quarter of the resolution."""
         return self.max_disparity // 4
+
+    @property
+    def size_multiple(self) -> int:
+        """Height and width of an input are multiples of this."""
+        return 32 if self.coarse_pass else 16
 
     @property
     def learns_volume(self) -> bool:

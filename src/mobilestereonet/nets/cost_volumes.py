@@ -85,19 +85,18 @@ class _ShiftedSums(torch.autograd.Function):
 class Correlation(nn.Module):
     """Mean product of left and shifted right features, over all channels or per group."""
 
-    def __init__(self, planes: int, groups: int = 1) -> None:
+    def __init__(self, groups: int = 1) -> None:
         super().__init__()
-        self.planes = planes
         self.groups = groups
 
-    def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
         width = left.shape[-1]
         parts = [
             (left[..., i:] * right[..., : width - i]).unflatten(1, (self.groups, -1)).mean(dim=2)
-            for i in range(min(self.planes, width))
+            for i in range(min(planes, width))
         ]
-        return torch.stack(_pad_left(parts, self.planes), dim=2)
+        return torch.stack(_pad_left(parts, planes), dim=2)
 
 
 class LearnedVolume(nn.Module):
@@ -112,9 +111,8 @@ class LearnedVolume(nn.Module):
     crop's border columns are those of a kernel without its outer column.
     """
 
-    def __init__(self, planes: int, kind: CostVolume) -> None:
+    def __init__(self, kind: CostVolume) -> None:
         super().__init__()
-        self.planes = planes
         self.interlaced = kind != "concatenation"
         channels = (1, 16, 32, 16)
         self.conv = nn.ModuleList(
@@ -126,25 +124,25 @@ class LearnedVolume(nn.Module):
         self.norm = nn.ModuleList(nn.BatchNorm3d(outputs) for outputs in channels[1:])
         self.squeeze = conv_norm(2, 16, 1, kernel=1)
 
-    def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """(B, 32, H, W) twice -> (B, 1, D, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        """(B, 32, H, W) twice -> (B, 1, D, H, W), D being ``planes``."""
         batch, _, height, width = left.shape
         # Rows of channels, one per pixel that has a partner, plane after plane: batch norms see
         # just these, each plane is an image in memory, and nothing is computed to be masked.
-        rows: Tensor = _ShiftedSums.apply(self.planes, *self._first_shares(left, right))  # type: ignore[no-untyped-call]
-        lengths = [batch * height * (width - i) for i in range(min(self.planes, width))]
+        rows: Tensor = _ShiftedSums.apply(planes, *self._first_shares(left, right))  # type: ignore[no-untyped-call]
+        lengths = [batch * height * (width - i) for i in range(min(planes, width))]
         rows = self._activate(rows, 0)
         for layer in (1, 2):
-            planes = [
+            convolved = [
                 _conv_planes(rows.unflatten(0, (batch, height, -1)), self.conv[layer])
                 for rows in rows.split(lengths)
             ]
-            rows = self._activate(torch.cat(planes), layer)
+            rows = self._activate(torch.cat(convolved), layer)
         image = rows.view(1, 1, -1, rows.shape[1]).permute(0, 3, 1, 2)
         parts = [
             part.view(batch, 1, height, -1) for part in self.squeeze(image).flatten().split(lengths)
         ]
-        return torch.stack(_pad_left(parts, self.planes), dim=2)
+        return torch.stack(_pad_left(parts, planes), dim=2)
 
     def _activate(self, rows: Tensor, layer: int) -> Tensor:
         """Batch norm and ReLU of a convolution's result (P, depth C)."""
@@ -198,7 +196,7 @@ def _conv_planes(plane: Tensor, conv: nn.Module) -> Tensor:
 
 
 def build_cost_volume(config: NetConfig) -> Correlation | LearnedVolume:
-    """The cost volume that ``config`` names: (B, C, H, W) twice -> (B, channels, D, H, W)."""
+    """The cost volume that ``config`` names: (B, C, H, W) twice, D -> (B, channels, D, H, W)."""
     if config.learns_volume:
-        return LearnedVolume(config.planes, config.cost_volume)
-    return Correlation(config.planes, config.volume_channels)
+        return LearnedVolume(config.cost_volume)
+    return Correlation(config.volume_channels)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.blocks import V2Block, initialise
+from mobilestereonet.nets.coarse_pass import guidance, halve
 from mobilestereonet.nets.config import NetConfig
 from mobilestereonet.nets.cost_volumes import build_cost_volume
 from mobilestereonet.nets.disparity import regress_disparity
@@ -18,9 +19,6 @@ from mobilestereonet.nets.features import (
     channel_reduction,
 )
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
-
-SIZE_MULTIPLE = 16
-"""Height and width of an input are multiples of this."""
 
 
 class StereoNet(nn.Module):
@@ -43,13 +41,16 @@ class StereoNet(nn.Module):
         self.hourglasses = nn.ModuleList(Hourglass(config) for _ in range(config.hourglasses))
         self.heads = nn.ModuleList(Head(config) for _ in range(config.hourglasses + 1))
         initialise(self)
+        if config.coarse_pass:
+            self.guide = nn.Conv3d(1, config.width, 3, padding=1, bias=False)
+            nn.init.zeros_(self.guide.weight)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor | list[Tensor]:
         """Disparity of the left view.
 
         Args:
             left: Left views (B, 3, H, W), RGB in 0..1, normalised by ImageNet's mean and standard
-                deviation; H and W are multiples of 16.
+                deviation; H and W are multiples of the config's ``size_multiple``.
             right: Right views, likewise.
 
         Returns:
@@ -57,7 +58,7 @@ class StereoNet(nn.Module):
             per head, first to last.
 
         Raises:
-            InputError: If the shapes differ or are not multiples of 16.
+            InputError: If the shapes differ or are not such multiples.
         """
         scores = self.scores(left, right)
         if self.training:
@@ -66,44 +67,72 @@ class StereoNet(nn.Module):
 
     def scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
         """Matching scores before the upsampling, see `aggregate`."""
-        return self.aggregate(self.cost_volume(left, right))
+        return self.aggregate(self.cost_volume(left, right), self.guidance(left, right))
+
+    @torch.no_grad()
+    def guidance(self, left: Tensor, right: Tensor) -> Tensor | None:
+        """What the coarse pass, in eval mode, tells the fine one.
+
+        Args:
+            left: Left views (B, 3, H, W), normalised.
+            right: Right views, likewise.
+
+        Returns:
+            (B, D, H / 4, W / 4), see `nets.coarse_pass`; None from a network without one.
+
+        Raises:
+            InputError: If the shapes differ or are not multiples of the config's ``size_multiple``.
+        """
+        if not self.config.coarse_pass:
+            return None
+        self.check_views(left, right)
+        training = self.training
+        self.eval()
+        volume = self._volume(halve(left), halve(right), self.config.planes // 2)
+        scores = self.aggregate(volume)[-1]
+        self.train(training)
+        return guidance(scores)
 
     def cost_volume(self, left: Tensor, right: Tensor) -> Tensor:
         """Cost volume of a pair.
 
         Args:
-            left: Left views (B, 3, H, W), normalised; H and W are multiples of 16.
+            left: Left views (B, 3, H, W), normalised; H and W are multiples of the config's
+                ``size_multiple``.
             right: Right views, likewise.
 
         Returns:
             (B, C, D, H / 4, W / 4), D disparities at a quarter of the resolution.
 
         Raises:
-            InputError: If the shapes differ or are not multiples of 16.
+            InputError: If the shapes differ or are not such multiples.
         """
         self.check_views(left, right)
-        views = self.reduction(self.features(torch.cat((left, right))))
-        return cast(Tensor, self.volume(*views.chunk(2)))
+        return self._volume(left, right, self.config.planes)
 
-    def aggregate(self, volume: Tensor) -> list[Tensor]:
+    def _volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        views = self.reduction(self.features(torch.cat((left, right))))
+        return cast(Tensor, self.volume(*views.chunk(2), planes))
+
+    def aggregate(self, volume: Tensor, guidance: Tensor | None = None) -> list[Tensor]:
         """Encoder-decoder and heads: matching scores of a cost volume.
 
         Args:
             volume: (B, C, D, H / 4, W / 4).
+            guidance: (B, D, H / 4, W / 4), see `guidance`; None, as zeros, tells nothing.
 
         Returns:
             One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
         """
         x = self.pre_hourglass(volume.flatten(1, 2) if self.config.dims == 2 else volume)
-        stages = [x]
-        for hourglass in self.hourglasses:
+        if guidance is not None:
+            x = self.guide(guidance.unsqueeze(1)).add_(x)
+        scores = []
+        for head, hourglass in zip(self.heads[:-1], self.hourglasses, strict=True):
+            if self.training:
+                scores.append(cast(Tensor, head(x)))
             x = hourglass(x)
-            stages.append(x)
-        first = 0 if self.training else len(stages) - 1
-        return [
-            cast(Tensor, head(stage))
-            for head, stage in zip(self.heads[first:], stages[first:], strict=True)
-        ]
+        return [*scores, cast(Tensor, self.heads[-1](x))]
 
     def zero_residuals(self) -> None:
         """Start every residual branch at zero: the last batch norm's scale in each.
@@ -121,7 +150,7 @@ class StereoNet(nn.Module):
         """Check that two views fit each other and the network.
 
         Raises:
-            InputError: If the shapes differ or are not multiples of 16.
+            InputError: If the shapes differ or are not multiples of the config's ``size_multiple``.
         """
         if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
             raise InputError(
@@ -129,8 +158,9 @@ class StereoNet(nn.Module):
                 f"got {tuple(left.shape)} and {tuple(right.shape)}"
             )
         height, width = left.shape[-2:]
-        if height % SIZE_MULTIPLE or width % SIZE_MULTIPLE:
+        multiple = self.config.size_multiple
+        if height % multiple or width % multiple:
             raise InputError(
-                f"height and width must be multiples of {SIZE_MULTIPLE}, got {height} x {width}: "
+                f"height and width must be multiples of {multiple}, got {height} x {width}: "
                 "pad the pair (StereoMatcher does)"
             )

@@ -95,13 +95,15 @@ def model_config(name: str, **overrides: Any) -> NetConfig:
 
 
 def is_model(config: NetConfig, name: str) -> bool:
-    """Whether a config is a named model's, at any maximum disparity, with either estimator.
+    """Whether a config is a named model's, whatever its range, estimator and coarse pass.
 
     Raises:
         InputError: If the name is unknown.
     """
-    same = {"max_disparity": config.max_disparity, "estimator": config.estimator}
-    return model_config(name, **same) == config
+    named = model_config(name)
+    return named == replace(
+        config, max_disparity=named.max_disparity, estimator="mean", coarse_pass=False
+    )
 
 
 def model_name(config: NetConfig) -> str:

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.nets import NetConfig, StereoNet
+from mobilestereonet.nets.coarse_pass import guidance, halve
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.disparity import Estimator, mode_mask
 from mobilestereonet.nets.normalise import normalise
@@ -23,12 +24,12 @@ from mobilestereonet.runtimes.slices import slice_layers
 
 def narrowest(config: NetConfig) -> int:
     """Smallest width in px that `Graph` takes: the disparity range and a little more."""
-    return config.max_disparity + 16
+    return config.max_disparity + config.size_multiple
 
 
 def example_pair(net: StereoNet) -> tuple[Tensor, Tensor]:
     """A small pair with which to trace `Graph`; what it is traced with does not matter."""
-    left, right = torch.zeros(2, 1, 3, 32, narrowest(net.config))
+    left, right = torch.zeros(2, 1, 3, 64, narrowest(net.config))
     return left, right
 
 
@@ -54,17 +55,19 @@ class Graph(nn.Module):
         net = copy.deepcopy(net).eval().requires_grad_(False)
         fold_norms(net)
         self.rgb, self.head, self.sliced = rgb, head, sliced
-        self.dims = net.config.dims
-        self.estimator = net.config.estimator
+        self.config = net.config
         self.features, self.reduction = net.features, net.reduction
         self.volume = (
             BlockwiseLearnedVolume(net.volume)
             if isinstance(net.volume, LearnedVolume)
             else BlockwiseCorrelation(net.volume, net.config.volume_input)
         )
-        self.aggregation = nn.Sequential(net.pre_hourglass, *net.hourglasses, net.heads[-1])
-        if self.dims == 3 and sliced:
-            slice_layers(self.aggregation)
+        self.pre_hourglass = net.pre_hourglass
+        self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
+        if self.config.coarse_pass:
+            self.guide = net.guide
+        if self.config.dims == 3 and sliced:
+            slice_layers(self)
         self.requires_grad_(False).to(next(net.parameters()).dtype)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
@@ -72,7 +75,7 @@ class Graph(nn.Module):
 
         Args:
             left: Left view (1, 3, H, W), normalised, or RGB in 0..1 with ``rgb``; H and W are
-                multiples of 16, W at least `narrowest`.
+                multiples of the config's ``size_multiple``, W at least `narrowest`.
             right: Right view, likewise.
 
         Returns:
@@ -81,18 +84,30 @@ class Graph(nn.Module):
         views = torch.cat((left, right))
         if self.rgb:
             views = normalise(views)
+        planes, told = self.config.planes, None
+        if self.config.coarse_pass:
+            told = guidance(self._scores(halve(views), planes // 2))
+        scores = self._scores(views, planes, told)
+        return soft_argmax_by_powers(scores, self.config.estimator) if self.head else scores
+
+    def _scores(self, views: Tensor, planes: int, told: Tensor | None = None) -> Tensor:
         left, right = self.reduction(self.features(views)).split(1)
-        blocks = list(self.volume(left, right))
-        if self.dims == 3 and self.sliced:
-            scores = self.aggregation(torch.cat(blocks)).unsqueeze(0)
+        blocks = list(self.volume(left, right, planes))
+        if self.config.dims == 3 and self.sliced:
+            volume = torch.cat(blocks)
+            told = None if told is None else told.transpose(0, 1)
         else:
             volume = torch.cat([block.transpose(0, 1) for block in blocks], dim=1)  # (C, D, H, W)
-            if self.dims == 3:
+            if self.config.dims == 3:
                 volume = volume.unsqueeze(0)
+                told = None if told is None else told.unsqueeze(1)
             elif len(volume) > 1:
                 volume = torch.cat(volume.split(1), dim=1)
-            scores = self.aggregation(volume)
-        return soft_argmax_by_powers(scores, self.estimator) if self.head else scores
+        x = self.pre_hourglass(volume)
+        if told is not None:
+            x = x + self.guide(told)
+        scores: Tensor = self.aggregation(x)
+        return scores.unsqueeze(0) if scores.ndim == 3 else scores
 
 
 _BLOCK = 4
@@ -113,9 +128,9 @@ class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
         self.register_buffer("starts", torch.eye(_BLOCK)[:, None, None])
         self.register_buffer("corner", torch.triu(torch.ones(_BLOCK, _BLOCK))[:, None, None])
 
-    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """(1, 32, H, W) twice -> D / 4 blocks of planes (4, 1, H, W)."""
-        count = self.planes
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(1, 32, H, W) twice -> blocks of so many planes together, (4, 1, H, W)."""
+        count = planes
         ours, theirs = self.left(left), self.right(right)
         first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
         last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
@@ -144,15 +159,14 @@ class BlockwiseCorrelation(nn.Module):
 
     def __init__(self, volume: Correlation, channels: int) -> None:
         super().__init__()
-        self.planes = volume.planes
         # A convolution and no mean over a reshaped tensor, which would need to know its size.
         self.mean = nn.Conv2d(channels, volume.groups, 1, groups=volume.groups, bias=False)
         nn.init.constant_(self.mean.weight, volume.groups / channels)
 
-    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """(1, C, H, W) twice -> D planes (1, groups, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(1, C, H, W) twice -> so many planes (1, groups, H, W)."""
         yield self.mean(left * right)
-        for i in range(1, self.planes):
+        for i in range(1, planes):
             yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))
 
 

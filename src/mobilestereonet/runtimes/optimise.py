@@ -86,10 +86,8 @@ def images_one_by_one(net: StereoNet) -> None:
 
 
 def drop_training_heads(net: StereoNet) -> None:
-    """One chain from the cost volume to the last head, which keeps no stage longer than needed."""
-    net.add_module("pre_hourglass", nn.Sequential(net.pre_hourglass, *net.hourglasses))
-    net.hourglasses = nn.ModuleList()
-    net.heads = net.heads[-1:]
+    """The heads that only training calls."""
+    net.heads = nn.ModuleList([*(nn.Identity() for _ in net.hourglasses), net.heads[-1]])
 
 
 def volume_by_planes(net: StereoNet) -> None:
@@ -115,7 +113,9 @@ def columns_first(net: StereoNet) -> None:
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.weight = nn.Parameter(module.weight.movedim(-1, 2), requires_grad=False)
     net.add_module("pre_hourglass", nn.Sequential(MoveAxis(-1, 2), net.pre_hourglass))
-    net.heads = nn.ModuleList(nn.Sequential(head, MoveAxis(1, -1)) for head in net.heads)
+    net.heads[-1] = nn.Sequential(net.heads[-1], MoveAxis(1, -1))
+    if net.config.coarse_pass:
+        net.add_module("guide", nn.Sequential(MoveAxis(-1, 2), net.guide))
 
 
 class MoveAxis(nn.Module):

@@ -23,7 +23,6 @@ class PlanewiseLearnedVolume(nn.Module):
 
     def __init__(self, volume: LearnedVolume) -> None:
         super().__init__()
-        self.planes = volume.planes
         first, second, third = (cast(nn.Conv3d, conv) for conv in volume.conv)
         depth = 2 * REDUCED_CHANNELS // first.kernel_size[0]
         # The groups of the first convolution mix both views: a block-diagonal kernel instead.
@@ -44,10 +43,10 @@ class PlanewiseLearnedVolume(nn.Module):
         self.third = _steps(third, 1)
         self.squeeze = volume.squeeze
 
-    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """(B, 32, H, W) twice -> D planes (B, 1, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(B, 32, H, W) twice -> so many planes (B, 1, H, W)."""
         width = left.shape[-1]
-        count = min(self.planes, width)
+        count = min(planes, width)
         ours, theirs = self.left(left), self.right(right)
         first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
         last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
@@ -61,7 +60,7 @@ class PlanewiseLearnedVolume(nn.Module):
                 x = torch.cat(columns, dim=-1)
             x = self.squeeze(self.third(self.second(F.relu(x, inplace=True))))
             yield F.pad(x, (i, 0))
-        for _ in range(count, self.planes):
+        for _ in range(count, planes):
             yield left.new_zeros(len(left), 1, *left.shape[-2:])
 
 
@@ -96,17 +95,16 @@ class PlanewiseCorrelation(nn.Module):
 
     def __init__(self, volume: Correlation) -> None:
         super().__init__()
-        self.planes = volume.planes
         self.groups = volume.groups
 
-    def forward(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """(B, C, H, W) twice -> D planes (B, groups, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(B, C, H, W) twice -> so many planes (B, groups, H, W)."""
         batch, _, height, width = left.shape
         left, right = self._by_member(left), self._by_member(right)
-        for i in range(min(self.planes, width)):
+        for i in range(min(planes, width)):
             plane = (left[:, :, i:] * right[:, :, : width - i]).mean(dim=3)
             yield F.pad(plane, (0, 0, i, 0)).permute(0, 3, 1, 2)
-        for _ in range(width, self.planes):
+        for _ in range(width, planes):
             yield left.new_zeros(batch, self.groups, height, width)
 
     def _by_member(self, view: Tensor) -> Tensor:
@@ -129,18 +127,17 @@ class Collected(nn.Module):
         self.volume = volume
         self.columns_first = columns_first
 
-    def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W)."""
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
         result: Tensor | None = None
-        for index, plane in enumerate(self.volume(left, right)):
+        for index, plane in enumerate(self.volume(left, right, planes)):
             if result is None:
-                result = self._empty(plane)
+                result = self._empty(plane, planes)
             result[:, :, index] = plane
         return cast(Tensor, result)
 
-    def _empty(self, plane: Tensor) -> Tensor:
+    def _empty(self, plane: Tensor, planes: int) -> Tensor:
         batch, groups, height, width = plane.shape
-        planes = self.volume.planes
         if self.columns_first:
             return plane.new_empty(batch, width, planes, height, groups).permute(0, 4, 2, 3, 1)
         return plane.new_empty(batch, planes, height, width, groups).movedim(-1, 1)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import SIZE_MULTIPLE, StereoNet
+from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.confidence import match_confidence
 from mobilestereonet.nets.disparity import regress_disparity
 
@@ -28,7 +28,6 @@ class ScoresRuntime(ABC):
     """
 
     normalised = True
-    multiple = SIZE_MULTIPLE
 
     def __init__(self, net: StereoNet, precision: str, threads: int | None) -> None:
         if threads is not None and threads < 1:
@@ -36,6 +35,7 @@ class ScoresRuntime(ABC):
         self.precision = precision
         self.threads = threads
         self.max_disparity = net.config.max_disparity
+        self.multiple = net.config.size_multiple
         self._estimator = net.config.estimator
 
     def __call__(self, left: Tensor, right: Tensor) -> Tensor:

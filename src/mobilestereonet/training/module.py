@@ -23,7 +23,7 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
-from mobilestereonet.nets import SIZE_MULTIPLE, create_model
+from mobilestereonet.nets import create_model
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
@@ -38,6 +38,9 @@ from mobilestereonet.training.losses import (
 from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
+
+_UNGUIDED = 4
+"""Of so many steps one is without guidance, as the coarse pass itself is."""
 
 _OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
@@ -60,7 +63,10 @@ class StereoModule(L.LightningModule):
         super().__init__()
         torch.manual_seed(recipe.seed)
         self.net = create_model(
-            recipe.model, max_disparity=recipe.max_disparity, estimator=recipe.estimator
+            recipe.model,
+            max_disparity=recipe.max_disparity,
+            estimator=recipe.estimator,
+            coarse_pass=recipe.coarse_pass,
         )
         if recipe.zero_residuals:
             self.net.zero_residuals()
@@ -84,7 +90,8 @@ class StereoModule(L.LightningModule):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1 of any size, in eval mode."""
         height, width = left.shape[-2:]
-        size = [math.ceil(side / SIZE_MULTIPLE) * SIZE_MULTIPLE for side in (height, width)]
+        multiple = self.net.config.size_multiple
+        size = [math.ceil(side / multiple) * multiple for side in (height, width)]
         views = [pad(normalise(view), *size) for view in (left, right)]
         return unpad(cast(Tensor, self.net(*views)), height, width)
 
@@ -116,8 +123,12 @@ class StereoModule(L.LightningModule):
                 f"{pairs.name} has no ground truth: choose another split to train on, or set a "
                 "teacher"
             )
-        volume = self.net.cost_volume(normalise(pairs.left), normalise(pairs.right))
-        scores = self.net.aggregate(volume)
+        views = normalise(pairs.left), normalise(pairs.right)
+        guidance = self.net.guidance(*views)
+        if guidance is not None and self.global_step % _UNGUIDED == 0:
+            guidance = torch.zeros_like(guidance)
+        volume = self.net.cost_volume(*views)
+        scores = self.net.aggregate(volume, guidance)
         with torch.autocast(self.device.type, enabled=False):
             predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
             sums = [self._truth_loss(pairs, volume, scores, predictions)]

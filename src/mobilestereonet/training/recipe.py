@@ -35,6 +35,7 @@ class Recipe:
         max_disparity: Disparities 0 .. max_disparity - 1 are searched.
         estimator: How the trained network estimates a disparity, see `NetConfig`; training itself
             takes the mean.
+        coarse_pass: Train with a coarse pass, see `NetConfig`. Weights without one can start it.
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
         root: Folder of the data set; None for procedural scenes.
         textures: Folder of photographs for procedural scenes.
@@ -77,6 +78,7 @@ class Recipe:
     model: str = "msnet2d"
     max_disparity: int = 192
     estimator: str = "mean"
+    coarse_pass: bool = False
     data: str = "procedural"
     root: str | None = None
     textures: str | None = None

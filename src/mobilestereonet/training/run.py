@@ -311,15 +311,20 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
 
 def _load_initial(module: StereoModule, weights: str) -> None:
     net, model = open_weights(weights), module.recipe.model
+    state = net.state_dict()
+    if module.recipe.coarse_pass and not net.config.coarse_pass:
+        state["guide.weight"] = module.net.guide.weight.detach()
     try:
-        module.net.load_state_dict(net.state_dict())
+        module.net.load_state_dict(state)
     except RuntimeError:  # keys or shapes
         found = model_name(net.config)
-        if is_model(net.config, model) or found == "custom":
+        coarse = net.config.coarse_pass and not module.recipe.coarse_pass
+        if found != "custom" and (coarse or not is_model(net.config, model)):
+            option = " --set coarse_pass=true" if coarse else ""
+            reason = f"it holds {found}; add --set model={found}{option}"
+        else:
             config = replace(net.config, estimator=module.net.config.estimator)
             reason = config.differences(module.net.config)
-        else:
-            reason = f"it holds {found}; add --set model={found}"
         raise InputError(f"{weights}: does not fit the recipe's {model}: {reason}") from None
 
 
