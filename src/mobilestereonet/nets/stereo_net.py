@@ -67,7 +67,8 @@ class StereoNet(nn.Module):
 
     def scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
         """Matching scores before the upsampling, see `aggregate`."""
-        return self.aggregate(self.cost_volume(left, right), self.guidance(left, right))
+        guidance = self.guidance(left, right)  # first, while no volume takes memory
+        return self.aggregate(self.cost_volume(left, right), guidance)
 
     @torch.no_grad()
     def guidance(self, left: Tensor, right: Tensor) -> Tensor | None:
