@@ -94,13 +94,13 @@ class Case:
         )
         return left, right
 
-    def open(self, threads: int) -> Callable[[Tensor, Tensor], Any]:
+    def open(self, threads: int, device: str = "cpu") -> Callable[[Tensor, Tensor], Any]:
         torch.set_num_threads(threads)
         net = self.net()
         if self.engine == "plain":
-            return torch.inference_mode()(PlainNet(net).eval())
+            return torch.inference_mode()(PlainNet(net).eval().to(device))
         return open_runtime(
-            self.engine, net, device="cpu", precision=self.precision, threads=threads
+            self.engine, net, device=device, precision=self.precision, threads=threads
         )
 
 

@@ -1,13 +1,15 @@
 """A training step of the final networks, ours and in the authors' formulation, in one table.
 
     python benchmarks/training_step.py [--models msnet2d msnet3d] [--repeats 5] [--threads 2]
+        [--device cuda] [--batch 8]
 
 Ours is the step of `msnet train` under the recipe ``procedural``: all disparities in one batch, the
 head in closed form, bfloat16 autocast, channels last; once with the paper's loss on four heads and
 the paper's optimizer.
 The authors' is `PlainNet`: a loop over 48 cropped pairs, one view after the other, four heads
 upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a process of its
-own, whose largest resident size is the peak memory.
+own, whose largest resident size is the peak memory; on a GPU it is what PyTorch allocates there,
+and its settings are PyTorch's own: float32 convolutions in TF32.
 """
 
 from __future__ import annotations
@@ -48,28 +50,36 @@ VARIANTS = {
 }
 
 
-def random_pair(height: int, width: int) -> StereoSample:
-    """Noise: the time of a step does not depend on what is in the pair."""
+def random_pairs(batch: int, height: int, width: int) -> StereoSample:
+    """Noise: the time of a step does not depend on what is in the pairs."""
     generator = torch.Generator().manual_seed(0)
-    left, right = torch.rand(2, 1, 3, height, width, generator=generator)
-    disparity = torch.rand(1, height, width, generator=generator) * 190 + 1
+    left, right = torch.rand(2, batch, 3, height, width, generator=generator)
+    disparity = torch.rand(batch, height, width, generator=generator) * 190 + 1
     return StereoSample(left, right, disparity, disparity > 0, name="noise")
 
 
-def authors_steps(model: str, pair: StereoSample) -> Iterator[float]:
+def now(device: str) -> float:
+    """Seconds on a clock, once all that was asked of the device is done."""
+    if device == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def authors_steps(model: str, pairs: StereoSample, device: str) -> Iterator[float]:
     """Seconds of step after step in the authors' formulation."""
     check(model)
-    plain = PlainNet(create_model(model)).train()
+    pairs = pairs.to(device)
+    plain = PlainNet(create_model(model)).train().to(device)
     optimizer = torch.optim.Adam(plain.parameters(), lr=1e-3, betas=(0.9, 0.999))
     while True:
-        started = time.perf_counter()
-        predictions = plain(normalise(pair.left), normalise(pair.right))
-        mask = trained_pixels(pair.disparity, pair.valid, 192)
-        loss = smooth_l1_sum(predictions, pair.disparity, mask) / mask.sum()
+        started = now(device)
+        predictions = plain(normalise(pairs.left), normalise(pairs.right))
+        mask = trained_pixels(pairs.disparity, pairs.valid, 192)
+        loss = smooth_l1_sum(predictions, pairs.disparity, mask) / mask.sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        yield time.perf_counter() - started
+        yield now(device) - started
 
 
 def check(model: str) -> None:
@@ -84,29 +94,33 @@ def check(model: str) -> None:
 class Clock(L.Callback):
     """Seconds of each step of a run."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: str) -> None:
+        self.device = device
         self.seconds: list[float] = []
 
     def on_train_batch_start(self, *_: object) -> None:
         """Note the time."""
-        self.started = time.perf_counter()
+        self.started = now(self.device)
 
     def on_train_batch_end(self, *_: object) -> None:
         """Note how long it took."""
-        self.seconds.append(time.perf_counter() - self.started)
+        self.seconds.append(now(self.device) - self.started)
 
 
-def our_steps(model: str, pair: StereoSample, paper_loss: bool, steps: int) -> list[float]:
+def our_steps(
+    model: str, pairs: StereoSample, device: str, paper_loss: bool, steps: int
+) -> list[float]:
     """Seconds of each of ``steps`` steps of `msnet train`, guard and logging included."""
-    recipe = replace(get_recipe("procedural"), model=model, batch_size=1)
+    recipe = replace(get_recipe("procedural"), model=model, batch_size=len(pairs.left))
     if paper_loss:
         recipe = replace(
             recipe, full_heads=4, cross_entropy=0.0, volume_cross_entropy=0.0, optimizer="adam"
         )
     keep_freed_memory()
-    clock = Clock()
+    clock = Clock(device)
     trainer = L.Trainer(
-        accelerator="cpu",
+        accelerator="gpu" if device == "cuda" else "cpu",
+        devices=1,
         precision="bf16-mixed",
         max_steps=steps,
         callbacks=[clock],
@@ -115,52 +129,68 @@ def our_steps(model: str, pair: StereoSample, paper_loss: bool, steps: int) -> l
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    batches = [TrainingBatch(pair)] * steps
-    trainer.fit(StereoModule(recipe, steps, 1), DataLoader(batches, batch_size=None))
+    batches = [TrainingBatch(pairs)] * steps
+    module = StereoModule(recipe, steps, recipe.batch_size)
+    trainer.fit(module, DataLoader(batches, batch_size=None))
     return clock.seconds
 
 
-def measure(model: str, variant: str, height: int, width: int, repeats: int) -> dict[str, float]:
+def measure(
+    model: str, variant: str, device: str, batch: int, height: int, width: int, repeats: int
+) -> dict[str, float]:
     """Median time after one step of warming up, and peak memory of this process."""
-    pair = random_pair(height, width)
+    pairs = random_pairs(batch, height, width)
     if variant == "authors":
-        seconds = list(islice(authors_steps(model, pair), repeats + 1))
+        seconds = list(islice(authors_steps(model, pairs, device), repeats + 1))
     else:
-        seconds = our_steps(model, pair, variant == "paper loss", repeats + 1)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    return {"seconds": statistics.median(seconds[1:]), "peak": peak}
+        seconds = our_steps(model, pairs, device, variant == "paper loss", repeats + 1)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    if device == "cuda":
+        peak = torch.cuda.max_memory_allocated()
+    return {"seconds": statistics.median(seconds[1:]), "peak": peak / 1024**3}
 
 
-def measure_apart(arguments: argparse.Namespace, model: str, variant: str) -> dict[str, float]:
-    """`measure` in a process of its own."""
-    size = [str(arguments.height), str(arguments.width), str(arguments.repeats)]
+def measure_apart(
+    arguments: argparse.Namespace, model: str, variant: str
+) -> dict[str, float] | str:
+    """`measure` in a process of its own, or why it failed, such as for lack of memory."""
+    names = ("device", "batch", "height", "width", "repeats")
+    options = [str(getattr(arguments, name)) for name in names]
     done = subprocess.run(
-        [sys.executable, __file__, "--one", model, variant, *size],
+        [sys.executable, __file__, "--one", model, variant, *options],
         env={**os.environ, "OMP_NUM_THREADS": str(arguments.threads)},
-        stdout=subprocess.PIPE,
-        check=True,
+        capture_output=True,
         text=True,
     )
+    if done.returncode:
+        print(done.stderr, file=sys.stderr)
+        reason = (done.stderr.splitlines() or [f"exit status {done.returncode}"])[-1]
+        return reason.split(". ")[0]
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--models", nargs="+", default=["msnet2d", "msnet3d"])
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--batch", type=int, default=1, help="pairs per step")
     parser.add_argument("--height", type=int, default=256)
     parser.add_argument("--width", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=5, help="timed steps, the median counts")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--one", nargs=5, help=argparse.SUPPRESS)
+    parser.add_argument("--one", nargs=7, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     if arguments.one:
-        model, variant, *numbers = arguments.one
-        print(json.dumps(measure(model, variant, *map(int, numbers))))
+        model, variant, device, *numbers = arguments.one
+        print(json.dumps(measure(model, variant, device, *map(int, numbers))))
         return
+    machine = f"{arguments.threads} threads"
+    if arguments.device == "cuda":
+        machine = torch.cuda.get_device_name()
     table = Table(
-        title=f"Training step, batch 1, {arguments.height} x {arguments.width}, "
-        f"{arguments.threads} threads, median of {arguments.repeats}"
+        title=f"Training step, batch {arguments.batch}, {arguments.height} x {arguments.width}, "
+        f"{machine}, median of {arguments.repeats}"
     )
     table.add_column("network")
     table.add_column("formulation")
@@ -168,9 +198,15 @@ def main() -> None:
         table.add_column(column, justify="right")
     for model in arguments.models:
         results = {name: measure_apart(arguments, model, name) for name in VARIANTS}
+        authors = results["authors"]
         for name, result in results.items():
-            ratio = results["authors"]["seconds"] / result["seconds"]
-            cells = (f"{result['seconds']:.2f}", f"{ratio:.1f}", f"{result['peak']:.2f}")
+            if isinstance(result, str):
+                table.add_row(model, f"{VARIANTS[name]}: {result}")
+                continue
+            faster = ""
+            if not isinstance(authors, str):
+                faster = f"{authors['seconds'] / result['seconds']:.1f}"
+            cells = (f"{result['seconds']:.3f}", faster, f"{result['peak']:.2f}")
             table.add_row(model, VARIANTS[name], *cells)
         table.add_section()
     Console(width=100).print(table)

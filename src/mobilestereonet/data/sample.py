@@ -111,6 +111,10 @@ class StereoSample:
         """Copy of the sample whose tensors lie on ``device``."""
         return self.map(lambda tensor: tensor.to(device, non_blocking=True))
 
+    def pin_memory(self) -> StereoSample:
+        """Copy of the sample in memory from which a GPU copies beside its work."""
+        return self.map(Tensor.pin_memory)
+
     def map(self, function: Callable[[Tensor], Tensor]) -> StereoSample:
         """Copy of the sample with ``function`` applied to every image and map."""
         tensors: dict[str, Any] = {

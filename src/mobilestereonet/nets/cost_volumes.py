@@ -15,6 +15,7 @@ from typing import Any, cast
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from mobilestereonet.nets.blocks import conv_norm
 from mobilestereonet.nets.config import REDUCED_CHANNELS, CostVolume, NetConfig
@@ -63,7 +64,8 @@ class _ShiftedSums(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         first, *others = _ShiftedSums.blocks(grads[0], ctx.rows, ctx.shape)
-        ours, theirs = first.float(), first.float()
+        # Copies, in float32 too: the sums below are each view's own.
+        ours, theirs = (first.to(torch.float32, copy=True) for _ in range(2))
         ours_first, theirs_last = torch.zeros_like(ours), torch.zeros_like(ours)
         for i, block in enumerate(others, start=1):
             end = block.shape[2]
@@ -82,6 +84,40 @@ class _ShiftedSums(torch.autograd.Function):
         return (plane.view(batch, height, -1, channels) for plane in rows.split(list(lengths)))
 
 
+class _GroupMeans(torch.autograd.Function):
+    """The volume of `Correlation` for training: in channels last, and each product made once.
+
+    Autograd through its slices would add up 2 D padded gradients, in the features' own precision.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, left: Tensor, right: Tensor, planes: int, groups: int) -> Tensor:
+        ours, theirs = (view.permute(0, 2, 3, 1).contiguous() for view in (left, right))
+        batch, height, width, _ = ours.shape
+        volume = ours.new_zeros(batch, planes, height, width, groups)
+        for i in range(min(planes, width)):
+            product = ours[:, :, i:] * theirs[:, :, : width - i]
+            volume[:, i, :, i:] = product.unflatten(-1, (groups, -1)).mean(dim=-1)
+        ctx.save_for_backward(ours, theirs)
+        return volume.permute(0, 4, 1, 2, 3)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        groups, planes = grads[0].shape[1:3]
+        grad = grads[0].permute(0, 2, 3, 4, 1).unsqueeze(-1)
+        ours, theirs = (view.unflatten(-1, (groups, -1)) for view in ctx.saved_tensors)
+        width, share = ours.shape[2], 1 / ours.shape[-1]
+        dtype = torch.promote_types(ours.dtype, torch.float32)
+        totals = [torch.zeros_like(view, dtype=dtype) for view in (ours, theirs)]
+        for i in range(min(planes, width)):
+            plane, end = grad[:, i, :, i:], width - i
+            totals[0][:, :, i:].addcmul_(plane, theirs[:, :, :end], value=share)
+            totals[1][:, :, :end].addcmul_(plane, ours[:, :, i:], value=share)
+        views = [total.flatten(-2).permute(0, 3, 1, 2).to(ours.dtype) for total in totals]
+        return *views, None, None
+
+
 class Correlation(nn.Module):
     """Mean product of left and shifted right features, over all channels or per group."""
 
@@ -91,6 +127,9 @@ class Correlation(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
         """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
+        if left.requires_grad:
+            volume: Tensor = _GroupMeans.apply(left, right, planes, self.groups)  # type: ignore[no-untyped-call]
+            return volume
         width = left.shape[-1]
         parts = [
             (left[..., i:] * right[..., : width - i]).unflatten(1, (self.groups, -1)).mean(dim=2)

@@ -28,7 +28,7 @@ from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.batches import TrainingBatch
-from mobilestereonet.training.depthwise import speed_up_depthwise
+from mobilestereonet.training.depthwise import has_triton, speed_up_depthwise
 from mobilestereonet.training.losses import (
     cross_entropy_sum,
     distillation_sum,
@@ -36,6 +36,7 @@ from mobilestereonet.training.losses import (
     trained_pixels,
 )
 from mobilestereonet.training.muon import Muon
+from mobilestereonet.training.norm import fuse_activations
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
 
@@ -109,6 +110,13 @@ class StereoModule(L.LightningModule):
                 f"Not an exact continuation, the precision has changed: {before} -> {now}; "
                 f"--precision {before} keeps it"
             )
+
+    def on_fit_start(self) -> None:
+        """On one NVIDIA GPU, let batch norms take their activations along."""
+        # Not before: several GPUs have their norms synchronised instead.
+        alone = self.trainer.world_size == 1
+        if alone and self.device.type == "cuda" and has_triton() and self.dtype == torch.float32:
+            fuse_activations(self.net)
 
     def on_train_start(self) -> None:
         """Start the clock."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -41,6 +42,8 @@ class Muon(torch.optim.Adam):
             with torch.enable_grad():
                 loss = closure()
         kernels = self.param_groups[1]
+        # Those of one shape go together: a GPU spends no time on many small products.
+        moves: dict[torch.Size, list[tuple[nn.Parameter, Tensor]]] = defaultdict(list)
         for kernel in kernels["params"]:
             if kernel.grad is None:
                 continue
@@ -50,26 +53,30 @@ class Muon(torch.optim.Adam):
                 state["step"], state["exp_avg"] = torch.zeros(()), torch.zeros_like(kernel)
             state["step"] += 1
             average = state["exp_avg"].lerp_(kernel.grad, 1 - MOMENTUM)
-            matrix = orthogonal(kernel.grad.lerp(average, MOMENTUM).flatten(1))
-            scale = _RMS * math.sqrt(max(matrix.shape))
-            kernel.sub_(matrix.view(kernel.shape), alpha=kernels["lr"] * scale)
+            matrix = kernel.grad.lerp(average, MOMENTUM).flatten(1)
+            moves[matrix.shape].append((kernel, matrix))
             kernel.grad = None  # for Adam
+        for shape, alike in moves.items():
+            scale = _RMS * math.sqrt(max(shape))
+            matrices = orthogonal(torch.stack([matrix for _, matrix in alike]))
+            for (kernel, _), matrix in zip(alike, matrices, strict=True):
+                kernel.sub_(matrix.reshape(kernel.shape), alpha=kernels["lr"] * scale)
         super().step()
         return loss
 
 
-def orthogonal(matrix: Tensor) -> Tensor:
-    """The nearest matrix with orthonormal rows or columns, roughly: singular values about 1.
+def orthogonal(matrices: Tensor) -> Tensor:
+    """The nearest matrices with orthonormal rows or columns, roughly: singular values about 1.
 
     Five steps of Jordan's quintic Newton-Schulz iteration, which leaves them in 0.7 .. 1.2.
 
     Args:
-        matrix: (M, N); zeros stay zeros.
+        matrices: (..., M, N); zeros stay zeros.
     """
-    wide = matrix if len(matrix) <= matrix.shape[1] else matrix.T
-    x = (wide / wide.norm().clamp_min(1e-12)).bfloat16()
+    tall = matrices.shape[-2] > matrices.shape[-1]
+    wide = matrices.mT if tall else matrices
+    x: Tensor = (wide / wide.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-12)).bfloat16()
     for _ in range(5):
-        gram = x @ x.T
+        gram = x @ x.mT
         x = 3.4445 * x + (-4.775 * gram + 2.0315 * gram @ gram) @ x
-    x = x.to(matrix.dtype)
-    return x if wide is matrix else cast(Tensor, x.T.contiguous())
+    return (x.mT if tall else x).to(matrices.dtype)

@@ -53,7 +53,8 @@ class RunData(L.LightningDataModule):
 
     Args:
         recipe: The recipe.
-        workers: Processes that read files; procedural scenes are made on the training device.
+        workers: Processes that read files or make procedural scenes; with none, scenes are made
+            on the training device.
 
     Raises:
         FileNotFoundError: If a folder that the recipe names is not there.
@@ -64,7 +65,7 @@ class RunData(L.LightningDataModule):
     def __init__(self, recipe: Recipe, workers: int) -> None:
         super().__init__()
         self.recipe = recipe
-        self.workers = 0 if recipe.data == "procedural" else workers
+        self.workers = workers
         self._train_files: StereoDataSet | None = None
         self._val_files: StereoDataSet | None = None
         makes_scenes = recipe.data == "procedural" or recipe.val_options is None
@@ -117,8 +118,15 @@ class RunData(L.LightningDataModule):
     def setup(self, stage: str) -> None:
         """Open the data for the training device."""
         assert self.trainer is not None
-        device = self.trainer.strategy.root_device
+        # Worker processes must leave a GPU alone.
+        device = torch.device("cpu") if self.workers else self.trainer.strategy.root_device
         self.train_source, self.val_source = self.training(device), self.validation(device)
+
+    @property
+    def _pins(self) -> bool:
+        """Whether batches come through memory from which a GPU copies beside its work."""
+        assert self.trainer is not None
+        return self.workers > 0 and self.trainer.strategy.root_device.type == "cuda"
 
     def train_dataloader(self) -> DataLoader[TrainingBatch]:
         """Batches from the current step on."""
@@ -139,6 +147,7 @@ class RunData(L.LightningDataModule):
                 trainer.world_size,
             ),
             num_workers=self.workers,
+            pin_memory=self._pins,
             worker_init_fn=_leave_ctrl_c_to_the_run,
             collate_fn=_as_it_is,
         )
@@ -154,6 +163,7 @@ class RunData(L.LightningDataModule):
         return DataLoader(
             Subset(self.val_source, indices),
             num_workers=self.workers,
+            pin_memory=self._pins,
             worker_init_fn=_leave_ctrl_c_to_the_run,
             collate_fn=collate,
         )
@@ -200,7 +210,8 @@ def train(
         accelerator: Lightning's accelerator.
         devices: Devices per node.
         num_nodes: Nodes.
-        workers: Processes that read files.
+        workers: Processes that read files or make procedural scenes, which are made on the
+            training device if there are none.
         progress: Show a progress bar.
 
     Returns:

@@ -1,0 +1,81 @@
+"""The Triton kernels against PyTorch, run by Triton's interpreter on the CPU.
+
+Not a test file: `test_triton_kernels` runs it as a process, for TRITON_INTERPRET=1 must be set
+before Triton is imported.
+"""
+
+import math
+from copy import deepcopy
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from mobilestereonet.nets import create_model
+from mobilestereonet.training.depthwise_triton import TritonDepthwise3d
+from mobilestereonet.training.norm import fuse_activations
+from mobilestereonet.training.norm_triton import TritonNormActivation
+
+ACTIVATIONS = {
+    (-math.inf, math.inf): nn.Identity(),
+    (0.0, math.inf): nn.ReLU(),
+    (0.0, 6.0): nn.ReLU6(),
+}
+
+
+def depthwise(size, stride):
+    x = torch.randn(size, requires_grad=True)
+    weight = torch.randn(size[1], 1, 3, 3, 3, requires_grad=True)
+    y = F.conv3d(x, weight, stride=stride, padding=1, groups=size[1])
+    grad = torch.randn_like(y)
+    expected = [y, *torch.autograd.grad(y, (x, weight), grad)]
+    ours = TritonDepthwise3d.apply(x, weight, stride)
+    found = [ours, *torch.autograd.grad(ours, (x, weight), grad)]
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
+
+
+def norm_activation(size, limits):
+    kind = nn.BatchNorm2d if len(size) == 4 else nn.BatchNorm3d
+    norm = kind(size[1]).double()
+    nn.init.uniform_(norm.weight, 0.5, 4)
+    nn.init.uniform_(norm.bias, -1, 2)
+    # Values far from zero: squares must not lose the variance.
+    x = (3 * torch.randn(size, dtype=torch.float64) + 20).requires_grad_()
+    y = ACTIVATIONS[limits](norm(x))
+    grad = torch.randn_like(y)
+    mean = x.detach().transpose(0, 1).flatten(1).mean(1)
+    expected = [y, *torch.autograd.grad(y, (x, norm.weight, norm.bias), grad), mean]
+    inputs = [t.detach().float().requires_grad_() for t in (x, norm.weight, norm.bias)]
+    ours, mean, _ = TritonNormActivation.apply(*inputs, norm.eps, limits)
+    found = [ours, *torch.autograd.grad(ours, inputs, grad.float()), mean]
+    found = [value.double() for value in found]
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-3)
+
+
+def whole_network():
+    plain = create_model("msnet3d", max_disparity=32)
+    plain.zero_residuals()
+    fused = deepcopy(plain)
+    fuse_activations(fused)
+    assert fused.state_dict().keys() == plain.state_dict().keys()
+    left, right = torch.randn(2, 2, 3, 16, 32)
+    for net in (plain, fused):
+        scores = net.scores(left, right)
+        sum(score.square().mean() for score in scores).backward()
+    torch.testing.assert_close(fused.state_dict(), plain.state_dict(), rtol=1e-3, atol=1e-3)
+    for (name, ours), theirs in zip(fused.named_parameters(), plain.parameters(), strict=True):
+        error = torch.linalg.vector_norm(ours.grad - theirs.grad)
+        assert error <= 1e-2 * torch.linalg.vector_norm(theirs.grad) + 1e-5, name
+    with torch.no_grad():
+        found, expected = fused.eval()(left, right), plain.eval()(left, right)
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+
+
+torch.manual_seed(0)
+for size in ((2, 8, 7, 9, 3), (1, 40, 3, 5, 34), (3, 32, 1, 2, 2)):
+    depthwise(size, 1)
+    depthwise(size, 2)
+for size in ((3, 40, 5, 7, 3), (2, 16, 9, 11), (1, 8, 1, 4097, 1)):
+    for limits in ACTIVATIONS:
+        norm_activation(size, limits)
+whole_network()
