@@ -150,11 +150,11 @@ def test_training_takes_statistics_over_the_columns_with_a_partner(kind, width):
 
 
 @pytest.mark.parametrize("width", [7, 3])
-@pytest.mark.parametrize("kind", ["interlaced-4", "concatenation"])
+@pytest.mark.parametrize("kind", ["interlaced-4", "concatenation", "groupwise"])
 def test_gradient_of_the_volume_in_training(kind, width):
     volume = volume_of(kind, planes=8).train()
     views = torch.randn(2, 1, 32, 2, width, dtype=torch.float64, requires_grad=True)
-    probe = torch.randn(1, 1, 8, 2, width, dtype=torch.float64)
+    probe = torch.randn(1, 8 if kind == "groupwise" else 1, 8, 2, width, dtype=torch.float64)
 
     def value(pair):
         return (volume(pair[0], pair[1], 8) * probe).sum()
@@ -165,6 +165,21 @@ def test_gradient_of_the_volume_in_training(kind, width):
         step = 1e-6
         slope = (value(views + step * direction) - value(views - step * direction)) / (2 * step)
     assert (gradient * direction).sum().item() == pytest.approx(slope.item(), rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["interlaced-4", "correlation", "groupwise"])
+def test_gradient_of_the_volume_in_float32(kind):
+    left, right = torch.randn(2, 2, 32, 4, 20, dtype=torch.float64)
+    probe = torch.randn(2, 8 if kind == "groupwise" else 1, 12, 4, 20, dtype=torch.float64)
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        volume = volume_of(kind).train().to(dtype)
+        views = [view.to(dtype).requires_grad_() for view in (left, right)]
+        loss = (volume(*views, 12) * probe.to(dtype)).sum()
+        found.append(torch.autograd.grad(loss, views))
+    for single, double in zip(*found, strict=True):
+        error = torch.linalg.vector_norm(single.double() - double)
+        assert error < 0.02 * torch.linalg.vector_norm(double)
 
 
 def by_definition(scores, estimator="mean"):

@@ -6,12 +6,13 @@ before Triton is imported.
 
 import math
 from copy import deepcopy
+from functools import partial
 
 import torch
 import torch.nn.functional as F
 from torch import nn
 
-from mobilestereonet.nets import create_model
+from mobilestereonet.nets.blocks import V2Block, conv_norm
 from mobilestereonet.training.depthwise_triton import TritonDepthwise3d
 from mobilestereonet.training.norm import fuse_activations
 from mobilestereonet.training.norm_triton import TritonNormActivation
@@ -52,30 +53,32 @@ def norm_activation(size, limits):
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-3)
 
 
-def whole_network():
-    plain = create_model("msnet3d", max_disparity=32)
-    plain.zero_residuals()
+def block_and_its_activations():
+    plain = nn.Sequential(
+        V2Block(3, 8, 8, expansion=2), nn.ReLU(), *conv_norm(3, 8, 5), *conv_norm(3, 5, 8)
+    )
     fused = deepcopy(plain)
     fuse_activations(fused)
     assert fused.state_dict().keys() == plain.state_dict().keys()
-    left, right = torch.randn(2, 2, 3, 16, 32)
+    # The one of 5 channels is left alone, with its activation.
+    kinds = [nn.ReLU, nn.ReLU, nn.Identity]
+    assert [type(module) for module in fused[1::3]] == kinds
+    volume = torch.randn(2, 8, 3, 4, 6)
     for net in (plain, fused):
-        scores = net.scores(left, right)
-        sum(score.square().mean() for score in scores).backward()
-    torch.testing.assert_close(fused.state_dict(), plain.state_dict(), rtol=1e-3, atol=1e-3)
-    for (name, ours), theirs in zip(fused.named_parameters(), plain.parameters(), strict=True):
-        error = torch.linalg.vector_norm(ours.grad - theirs.grad)
-        assert error <= 1e-2 * torch.linalg.vector_norm(theirs.grad) + 1e-5, name
+        net(volume).square().mean().backward()
+    close = partial(torch.testing.assert_close, rtol=1e-3, atol=1e-4)
+    close(dict(fused.state_dict()), dict(plain.state_dict()))
+    for ours, theirs in zip(fused.parameters(), plain.parameters(), strict=True):
+        close(ours.grad, theirs.grad)
     with torch.no_grad():
-        found, expected = fused.eval()(left, right), plain.eval()(left, right)
-    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+        close(fused.eval()(volume), plain.eval()(volume))
 
 
 torch.manual_seed(0)
-for size in ((2, 8, 7, 9, 3), (1, 40, 3, 5, 34), (3, 32, 1, 2, 2)):
+for size in ((2, 8, 5, 6, 3), (1, 40, 2, 3, 34)):
     depthwise(size, 1)
     depthwise(size, 2)
-for size in ((3, 40, 5, 7, 3), (2, 16, 9, 11), (1, 8, 1, 4097, 1)):
+for size in ((3, 40, 5, 7, 3), (2, 16, 9, 11), (1, 8, 1, 2100, 1)):
     for limits in ACTIVATIONS:
         norm_activation(size, limits)
-whole_network()
+block_and_its_activations()

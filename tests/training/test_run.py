@@ -157,6 +157,21 @@ def test_validation_scenes_are_not_trained_on():
     assert not torch.allclose(train_scenes[0].left, val_scenes[0].left, atol=0.1)
 
 
+def test_worker_processes_make_the_same_scenes():
+    found = []
+    for workers in (0, 2):
+        data = RunData(RECIPE, workers)
+        strategy = SimpleNamespace(root_device=torch.device("cpu"))
+        data.trainer = SimpleNamespace(
+            world_size=1, global_rank=0, global_step=0, max_steps=3, strategy=strategy
+        )
+        data.setup("fit")
+        found.append([batch.augmented for batch in data.train_dataloader()])
+    for own, others in zip(*found, strict=True):
+        torch.testing.assert_close(own.left, others.left)
+        torch.testing.assert_close(own.disparity, others.disparity)
+
+
 def test_files_of_any_size(tmp_path):
     rng = np.random.default_rng(0)
     for index in range(3):

@@ -34,7 +34,13 @@ def ablate(
         str, typer.Option(help="Lightning's precision: 32-true, bf16-mixed, 16-mixed.")
     ] = "32-true",
     accelerator: Annotated[str, typer.Option(help="auto, cpu or gpu.")] = "auto",
-    workers: Annotated[int, typer.Option(help="Processes that read the data set's files.")] = 0,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Processes that read the data set's files or make procedural scenes; without "
+            "any, scenes are made on the training device."
+        ),
+    ] = 0,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
     """Train and score several networks under one recipe, beside the paper's figures.

@@ -51,7 +51,13 @@ def train(
     num_nodes: Annotated[
         int, typer.Option(help="Nodes; start the command on each (torchrun).")
     ] = 1,
-    workers: Annotated[int, typer.Option(help="Processes that read the data set's files.")] = 0,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Processes that read the data set's files or make procedural scenes; without "
+            "any, scenes are made on the training device."
+        ),
+    ] = 0,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
     """Train a network under a recipe; every value of it can be overridden.
