@@ -9,10 +9,11 @@ from collections.abc import Iterator
 
 import torch
 from torch import Tensor
+from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.runtimes.optimise import fold_norms, optimise, weights_channels_last
+from mobilestereonet.runtimes.optimise import fold_norms, optimise
 from mobilestereonet.runtimes.scores import ScoresRuntime
 
 _PRECISIONS = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -64,7 +65,8 @@ class TorchRuntime(ScoresRuntime):
         else:
             self.net = copy.deepcopy(net).eval().requires_grad_(False)
             fold_norms(self.net)
-            weights_channels_last(self.net)
+            # cuDNN is slow at depthwise 3D convolutions in channels last: those stay as they are.
+            convert_conv2d_weight_memory_format(self.net, torch.channels_last)
         self.net.to(self.device, self.dtype)
 
     def _scores(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:

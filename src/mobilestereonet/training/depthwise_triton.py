@@ -135,9 +135,10 @@ def _correlate(  # type: ignore[no-untyped-def]
         image = row // (grad_height * grad_depth)
         there = (row < rows) & (at_z >= 0) & (at_z < depth) & (at_y >= 0) & (at_y < height)
         first = ((tl.cast(image, tl.int64) * depth + at_z) * height + at_y) * width * channels
+        end = tl.where(there, grad_width, 0)  # no column, where that row lies outside
         for start in range(0, grad_width, block_columns):
             x = start + tl.arange(0, block_columns)
-            inside = (there & (x < grad_width))[:, None] & (channel < channels)[None]
+            inside = (x < end)[:, None] & (channel < channels)[None]
             place = grad + tl.cast(row, tl.int64) * grad_width * channels
             change = tl.load(place + x[:, None] * channels + channel[None], mask=inside, other=0.0)
             change = change.to(tl.float32)
