@@ -24,15 +24,20 @@ ACTIVATIONS = {
 }
 
 
-def depthwise(size, stride):
-    x = torch.randn(size, requires_grad=True)
+def depthwise(size, stride, dtype):
+    # Numbers that the type holds exactly; the weight is float32, as under autocast.
+    x = torch.randn(size).to(dtype).requires_grad_()
     weight = torch.randn(size[1], 1, 3, 3, 3, requires_grad=True)
-    y = F.conv3d(x, weight, stride=stride, padding=1, groups=size[1])
-    grad = torch.randn_like(y)
-    expected = [y, *torch.autograd.grad(y, (x, weight), grad)]
+    exact = x.float()
+    y = F.conv3d(exact, weight, stride=stride, padding=1, groups=size[1])
+    grad = torch.randn_like(y).to(dtype)
+    expected = [y, *torch.autograd.grad(y, (exact, weight), grad.float())]
     ours = TritonDepthwise3d.apply(x, weight, stride)
     found = [ours, *torch.autograd.grad(ours, (x, weight), grad)]
-    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
+    assert [value.dtype for value in found] == [dtype, dtype, torch.float32]
+    for value, true in zip(found, expected, strict=True):
+        rtol = 1e-4 if value.dtype == torch.float32 else 2**-7  # its last digits
+        torch.testing.assert_close(value.float(), true, rtol=rtol, atol=1e-4)
 
 
 def norm_activation(size, limits):
@@ -58,7 +63,7 @@ def block_and_its_activations():
         V2Block(3, 8, 8, expansion=2), nn.ReLU(), *conv_norm(3, 8, 5), *conv_norm(3, 5, 8)
     )
     fused = deepcopy(plain)
-    fuse_activations(fused)
+    undo = fuse_activations(fused)
     assert fused.state_dict().keys() == plain.state_dict().keys()
     # The one of 5 channels is left alone, with its activation.
     kinds = [nn.ReLU, nn.ReLU, nn.Identity]
@@ -72,12 +77,16 @@ def block_and_its_activations():
         close(ours.grad, theirs.grad)
     with torch.no_grad():
         close(fused.eval()(volume), plain.eval()(volume))
+    undo()
+    assert [type(module) for module in fused.modules()] == [
+        type(module) for module in plain.modules()
+    ]
 
 
 torch.manual_seed(0)
 for size in ((2, 8, 5, 6, 3), (1, 40, 2, 3, 34)):
-    depthwise(size, 1)
-    depthwise(size, 2)
+    depthwise(size, 1, torch.float32)
+    depthwise(size, 2, torch.bfloat16)
 for size in ((3, 40, 5, 7, 3), (2, 16, 9, 11), (1, 8, 1, 2100, 1)):
     for limits in ACTIVATIONS:
         norm_activation(size, limits)

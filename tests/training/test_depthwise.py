@@ -5,6 +5,7 @@ import torch
 from torch import nn
 
 from mobilestereonet.nets import create_model
+from mobilestereonet.runtimes.optimise import fold_norms
 from mobilestereonet.training.depthwise import (
     DepthwiseConv3d,
     DilatedDepthwiseConv2d,
@@ -74,3 +75,18 @@ def test_a_whole_network():
     for (name, ours), theirs in zip(fast.named_parameters(), plain.parameters(), strict=True):
         error = torch.linalg.vector_norm(ours.grad - theirs.grad)
         assert error <= 1e-9 * torch.linalg.vector_norm(theirs.grad) + 1e-12, name
+
+
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_batch_norms_can_be_folded_in(name):
+    torch.manual_seed(0)
+    plain = create_model(name, max_disparity=32).eval()
+    for module in plain.modules():
+        if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+            nn.init.uniform_(module.bias, -0.5, 0.5)
+    fast = deepcopy(plain)
+    speed_up_depthwise(fast)
+    fold_norms(fast)
+    left, right = torch.randn(2, 1, 3, 32, 64)
+    with torch.no_grad():
+        assert (fast(left, right) - plain(left, right)).abs().max() < 0.05

@@ -19,6 +19,27 @@ def test_orthogonal_keeps_directions_and_levels_their_strengths():
     assert orthogonal(torch.zeros(4, 6)).eq(0).all()
 
 
+def test_matrices_of_a_stack_do_not_see_each_other():
+    torch.manual_seed(0)
+    for shape in ((8, 24), (24, 8)):
+        matrices = torch.randn(3, *shape) * torch.tensor([0.01, 1, 100])[:, None, None]
+        for found, matrix in zip(orthogonal(matrices), matrices, strict=True):
+            torch.testing.assert_close(found, orthogonal(matrix), rtol=0.02, atol=0.02)
+
+
+def test_kernels_of_one_shape_move_each_by_its_own_gradient():
+    torch.manual_seed(0)
+    kernels = [torch.nn.Parameter(torch.randn(8, 8, 1, 1)) for _ in range(2)]
+    apart = [torch.nn.Parameter(kernel.detach().clone()) for kernel in kernels]
+    for kernel, twin in zip(kernels, apart, strict=True):
+        kernel.grad = torch.randn_like(kernel)
+        twin.grad = kernel.grad.clone()
+    Muon(kernels, 0.1).step()
+    for kernel, twin in zip(kernels, apart, strict=True):
+        Muon([twin], 0.1).step()
+        torch.testing.assert_close(kernel, twin, rtol=0.01, atol=1e-3)
+
+
 def layers():
     torch.manual_seed(0)
     return nn.Sequential(

@@ -166,7 +166,13 @@ def test_worker_processes_make_the_same_scenes():
             world_size=1, global_rank=0, global_step=0, max_steps=3, strategy=strategy
         )
         data.setup("fit")
-        found.append([batch.augmented for batch in data.train_dataloader()])
+        loader = data.train_dataloader()
+        assert loader.num_workers == workers
+        found.append([batch.augmented for batch in loader])
+    # Where there are workers, a GPU is left to the training.
+    strategy.root_device = torch.device("cuda")
+    data.setup("fit")
+    assert data.train_source.device.type == "cpu"
     for own, others in zip(*found, strict=True):
         torch.testing.assert_close(own.left, others.left)
         torch.testing.assert_close(own.disparity, others.disparity)

@@ -7,6 +7,9 @@ kernels of their own, see `training.depthwise_triton`.
 
 from __future__ import annotations
 
+import os
+import shutil
+from functools import cache
 from importlib.util import find_spec
 from typing import Any, cast
 
@@ -16,13 +19,22 @@ from torch import Tensor, nn
 from torch.nn.grad import conv2d_weight
 
 
+@cache
 def has_triton() -> bool:
-    """Whether Triton is there: PyTorch brings it along where it was built for CUDA, on Linux."""
-    return find_spec("triton") is not None
+    """Whether Triton's kernels can be built for an NVIDIA GPU.
+
+    PyTorch brings Triton along where it was built for CUDA, on Linux; it needs a C compiler.
+    """
+    compilers = (os.environ.get("CC", "cc"), "gcc", "clang")
+    return (
+        find_spec("triton") is not None
+        and torch.version.hip is None
+        and any(map(shutil.which, compilers))
+    )
 
 
 class DepthwiseConv3d(nn.Conv3d):
-    """A 3x3x3 depthwise convolution with padding 1 and stride 1 or 2, without bias.
+    """A 3x3x3 depthwise convolution with padding 1 and stride 1 or 2.
 
     On a CPU its gradients are a forward pass with the kernel turned around, and 2D depthwise
     convolutions: some forty times faster than oneDNN's.
@@ -30,6 +42,8 @@ class DepthwiseConv3d(nn.Conv3d):
 
     def forward(self, input: Tensor) -> Tensor:
         """(B, C, D, H, W) -> (B, C, D / stride, H / stride, W / stride), rounded up."""
+        if self.bias is not None:  # of a batch norm that was folded in
+            return super().forward(input)
         if input.is_cuda and has_triton() and input.dtype != torch.float64 and not self.groups % 8:
             from mobilestereonet.training.depthwise_triton import TritonDepthwise3d
 
@@ -42,11 +56,11 @@ class DepthwiseConv3d(nn.Conv3d):
 
 
 class DilatedDepthwiseConv2d(nn.Conv2d):
-    """A dilated 3x3 depthwise convolution, padded by its dilation, without bias.
+    """A dilated 3x3 depthwise convolution, padded by its dilation.
 
     Each of the dilation's interleaved images is convolved on its own, without dilation. oneDNN is
-    ten times slower, and its bfloat16 gradient of the weight is uninitialised memory; cuDNN's takes
-    five times as long as without dilation.
+    ten times slower, and its bfloat16 gradient of the weight is uninitialised memory; cuDNN's
+    gradient of the weight was slower than without dilation, too.
     """
 
     def forward(self, input: Tensor) -> Tensor:
@@ -56,7 +70,7 @@ class DilatedDepthwiseConv2d(nn.Conv2d):
         images = images.unflatten(2, (-1, step)).unflatten(1, (-1, step))
         images = images.permute(0, 2, 4, 1, 3, 5)  # (B, step, step, H / step, W / step, C)
         plain = images.flatten(0, 2).permute(0, 3, 1, 2)
-        output: Tensor = F.conv2d(plain, self.weight, padding=1, groups=self.groups)
+        output: Tensor = F.conv2d(plain, self.weight, self.bias, padding=1, groups=self.groups)
         output = output.permute(0, 2, 3, 1).unflatten(0, images.shape[:3])
         output = output.permute(0, 3, 1, 4, 2, 5).flatten(3, 4).flatten(1, 2)
         return output.permute(0, 3, 1, 2)

@@ -1,7 +1,7 @@
 """Depthwise 3x3x3 convolutions on NVIDIA GPUs, in Triton.
 
-cuDNN takes a depthwise 3D convolution in channels last for a grouped one with a channel per group,
-and wastes most of the arithmetic. These kernels read every value from memory about once.
+cuDNN takes a depthwise 3D convolution in channels last for a grouped one. Here a program reads a
+block of channels at a block of places, and its neighbours find what they share in the cache.
 """
 
 from __future__ import annotations
@@ -166,7 +166,9 @@ def _empty(like: Tensor, shape: tuple[int, ...]) -> Tensor:
     )
 
 
-def _run_convolve(source: Tensor, weight: Tensor, result: Tensor, stride: int, how: bool) -> None:
+def _run_convolve(
+    source: Tensor, weight: Tensor, result: Tensor, stride: int, *, transposed: bool
+) -> None:
     channels = result.shape[1]
     blocks = math.prod(map(triton.cdiv, result.shape[2:], _TILE))
     _convolve[(len(result) * blocks, triton.cdiv(channels, _CHANNELS))](
@@ -177,7 +179,7 @@ def _run_convolve(source: Tensor, weight: Tensor, result: Tensor, stride: int, h
         *result.shape[2:],
         channels // 8,
         stride=stride,
-        transposed=how,
+        transposed=transposed,
         block_planes=_TILE[0],
         block_rows=_TILE[1],
         block_columns=_TILE[2],
@@ -199,17 +201,17 @@ class TritonDepthwise3d(torch.autograd.Function):
         ctx.stride = stride
         size = (-(-side // stride) for side in x.shape[2:])
         y = _empty(x, (*x.shape[:2], *size))
-        _run_convolve(x, weight, y, stride, False)
+        _run_convolve(x, weight, y, stride, transposed=False)
         return y
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None]:
-        """The gradients of the volume and of the kernels."""
+        """Gradients of the volume (B, C, D, H, W) and of the kernels (C, 1, 3, 3, 3)."""
         x, weight = ctx.saved_tensors
         grad = grads[0].contiguous(memory_format=torch.channels_last_3d)
         grad_x = _empty(x, x.shape)
-        _run_convolve(grad, weight, grad_x, ctx.stride, True)
+        _run_convolve(grad, weight, grad_x, ctx.stride, transposed=True)
         batch, channels, depth, height, _ = grad.shape
         rows = batch * depth * height
         chunks = triton.cdiv(rows, _ROWS)

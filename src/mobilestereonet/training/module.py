@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from statistics import median
 from typing import Any, cast
 
@@ -85,6 +86,7 @@ class StereoModule(L.LightningModule):
         self.skipped: Tensor
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
         self._saved_buffers: list[Tensor] = []
+        self._undo_fusion: Callable[[], None] = lambda: None
         self._step_ended = 0.0
         self._seconds: deque[float] = deque(maxlen=20)
 
@@ -116,7 +118,11 @@ class StereoModule(L.LightningModule):
         # Not before: several GPUs have their norms synchronised instead.
         alone = self.trainer.world_size == 1
         if alone and self.device.type == "cuda" and has_triton() and self.dtype == torch.float32:
-            fuse_activations(self.net)
+            self._undo_fusion = fuse_activations(self.net)
+
+    def on_fit_end(self) -> None:
+        """Leave an ordinary network."""
+        self._undo_fusion()
 
     def on_train_start(self) -> None:
         """Start the clock."""

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-_LIMITS: dict[type[nn.Module], tuple[float, float]] = {
-    nn.ReLU: (0.0, math.inf),
-    nn.ReLU6: (0.0, 6.0),
-}
+Limits = tuple[float, float]
+"""An activation's least and largest value."""
+
+_LIMITS: dict[type[nn.Module], Limits] = {nn.ReLU: (0.0, math.inf), nn.ReLU6: (0.0, 6.0)}
+_NONE: Limits = (-math.inf, math.inf)
 
 
 class _NormActivation(nn.modules.batchnorm._BatchNorm):
     """A batch norm and the activation after it, see `training.norm_triton`."""
 
-    limits: tuple[float, float]
+    limits: Limits
 
     def forward(self, input: Tensor) -> Tensor:
-        """(B, C, ...) -> the same shape."""
+        """(B, C, ...) -> the same shape; in eval mode without gradients."""
         from mobilestereonet.training.norm_triton import TritonNormActivation, norm_activation
 
         assert self.running_mean is not None and self.running_var is not None
@@ -43,24 +45,36 @@ class _NormActivation(nn.modules.batchnorm._BatchNorm):
         return cast(Tensor, output)
 
 
-def fuse_activations(net: nn.Module) -> None:
+def fuse_activations(net: nn.Module) -> Callable[[], None]:
     """Let batch norms of ``net`` take over the ReLU or ReLU6 that follows them in a sequence.
 
     What follows becomes the identity; the weights and their names stay as they are. Norms whose
-    channels are no multiple of 8 are left alone.
+    channels are no multiple of 8 are left alone. Until this is undone the network runs on an
+    NVIDIA GPU only, and in eval mode without gradients.
+
+    Returns:
+        A function that undoes it.
     """
 
     def fits(module: nn.Module) -> bool:
-        norm = isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d)
-        return norm and cast(nn.BatchNorm2d, module).num_features % 8 == 0
+        is_norm = isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d)
+        return is_norm and cast(nn.BatchNorm2d, module).num_features % 8 == 0
 
-    limits = {module: (-math.inf, math.inf) for module in net.modules() if fits(module)}
+    limits = {module: _NONE for module in net.modules() if fits(module)}
+    before: dict[nn.Module, type[nn.Module]] = {norm: type(norm) for norm in limits}
     for sequence in net.modules():
         if isinstance(sequence, nn.Sequential):
             for norm, activation in pairwise(sequence):
                 if norm in limits and type(activation) in _LIMITS:
                     limits[norm] = _LIMITS[type(activation)]
+                    before[activation] = type(activation)
                     activation.__class__ = nn.Identity
-    for norm, its in limits.items():
+    for norm, its_limits in limits.items():
         norm.__class__ = _NormActivation
-        cast(_NormActivation, norm).limits = its
+        cast(_NormActivation, norm).limits = its_limits
+
+    def undo() -> None:
+        for module, kind in before.items():
+            module.__class__ = kind
+
+    return undo

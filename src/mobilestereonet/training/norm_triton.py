@@ -15,8 +15,7 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-Limits = tuple[float, float]
-"""The activation's least and largest value: 0 and infinity for ReLU."""
+from mobilestereonet.training.norm import Limits
 
 _ROWS, _CHANNELS = 128, 32
 """Rows and channels of a block."""
@@ -106,20 +105,23 @@ def _map_columns(  # type: ignore[no-untyped-def]
         z = change * factor + x * tl.load(slope + channel, mask=used, other=0.0)[None]
         z += tl.load(level + channel, mask=used, other=0.0)[None]
     else:
-        z = tl.minimum(tl.maximum(z, low), high)
+        # As PyTorch's activations: what is not a number stays so.
+        z = tl.maximum(z, low, propagate_nan=tl.PropagateNan.ALL)
+        z = tl.minimum(z, high, propagate_nan=tl.PropagateNan.ALL)
     tl.store(result + place, z.to(result.dtype.element_ty), mask=inside)
 
 
 def _sums(
     x: Tensor, grad: Tensor | None, centre: Tensor, maps: tuple[Tensor, ...], limits: Limits
 ) -> Tensor:
+    """Sums of x (B, C, ...) or, given a gradient, of that: (2, C), see `_column_sums`."""
     channels = x.shape[1]
     rows = x.numel() // channels
     programs = triton.cdiv(rows, _ROWS * _STEPS)
     partial = torch.empty(programs, 2, channels, device=x.device)
     _column_sums[(programs, triton.cdiv(channels, _CHANNELS))](
         x,
-        x if grad is None else grad,
+        x if grad is None else grad,  # any tensor, where none is read
         centre,
         *(maps or (centre, centre)),
         partial,
@@ -135,12 +137,13 @@ def _sums(
 
 
 def _mapped(x: Tensor, grad: Tensor | None, maps: tuple[Tensor, ...], limits: Limits) -> Tensor:
+    """Norm and activation of x (B, C, ...) or, given a gradient, that of x."""
     channels = x.shape[1]
     rows = x.numel() // channels
     result = torch.empty_like(x)
     _map_columns[(triton.cdiv(rows, _ROWS), triton.cdiv(channels, _CHANNELS))](
         x,
-        x if grad is None else grad,
+        x if grad is None else grad,  # any tensor, where none is read
         result,
         *(maps if grad is not None else 2 * maps),
         rows,
@@ -160,11 +163,17 @@ def channels_last(x: Tensor) -> Tensor:
 
 
 def norm_activation(
-    x: Tensor, mean: Tensor, variance: Tensor, weight: Tensor, bias: Tensor, eps: float, to: Limits
+    x: Tensor,
+    mean: Tensor,
+    variance: Tensor,
+    weight: Tensor,
+    bias: Tensor,
+    eps: float,
+    limits: Limits,
 ) -> Tensor:
     """Norm by known statistics (C,) and activation of (B, C, ...), without a gradient."""
     scale = weight * (variance + eps).rsqrt()
-    return _mapped(channels_last(x), None, (scale, bias - mean * scale), to)
+    return _mapped(channels_last(x), None, (scale, bias - mean * scale), limits)
 
 
 class TritonNormActivation(torch.autograd.Function):

@@ -116,7 +116,7 @@ class RunData(L.LightningDataModule):
         return ProceduralScenes(config, textures=photographs, device=device)
 
     def setup(self, stage: str) -> None:
-        """Open the data for the training device."""
+        """Open the data; procedural scenes on the training device, or the CPU for workers."""
         assert self.trainer is not None
         # Worker processes must leave a GPU alone.
         device = torch.device("cpu") if self.workers else self.trainer.strategy.root_device
