@@ -7,6 +7,15 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.training_options import (
+    Accelerator,
+    Precision,
+    Progress,
+    Root,
+    Textures,
+    Workers,
+)
+
 
 def ablate(
     folder: Annotated[Path, typer.Argument(help="Folder of the runs, one folder each.")],
@@ -26,22 +35,12 @@ def ablate(
         list[str] | None,
         typer.Option("--set", help="Override a value of the recipe; see msnet train."),
     ] = None,
-    root: Annotated[Path | None, typer.Option(help="Folder of the recipe's data set.")] = None,
-    textures: Annotated[
-        Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
-    ] = None,
-    precision: Annotated[
-        str, typer.Option(help="Lightning's precision: 32-true, bf16-mixed, 16-mixed.")
-    ] = "32-true",
-    accelerator: Annotated[str, typer.Option(help="auto, cpu or gpu.")] = "auto",
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Processes that read the data set's files or make procedural scenes; without "
-            "any, scenes are made on the training device."
-        ),
-    ] = 0,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+    root: Root = None,
+    textures: Textures = None,
+    precision: Precision = "32-true",
+    accelerator: Accelerator = "auto",
+    workers: Workers = 0,
+    progress: Progress = True,
 ) -> None:
     """Train and score several networks under one recipe, beside the paper's figures.
 

@@ -7,6 +7,15 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.training_options import (
+    Accelerator,
+    Precision,
+    Progress,
+    Root,
+    Textures,
+    Workers,
+)
+
 
 def train(
     folder: Annotated[Path, typer.Argument(help="Folder of the run: checkpoints, logs, weights.")],
@@ -22,10 +31,8 @@ def train(
             "augment.noise=0.02 or scenes.seed=7. Repeat for more.",
         ),
     ] = None,
-    root: Annotated[Path | None, typer.Option(help="Folder of the recipe's data set.")] = None,
-    textures: Annotated[
-        Path | None, typer.Option(help="Folder of photographs for procedural scenes.")
-    ] = None,
+    root: Root = None,
+    textures: Textures = None,
     weights: Annotated[
         Path | None,
         typer.Option(
@@ -43,22 +50,14 @@ def train(
     max_time: Annotated[
         str | None, typer.Option(help="Stop, with a checkpoint, after DD:HH:MM:SS.")
     ] = None,
-    precision: Annotated[
-        str, typer.Option(help="Lightning's precision: 32-true, bf16-mixed, 16-mixed.")
-    ] = "32-true",
-    accelerator: Annotated[str, typer.Option(help="auto, cpu or gpu.")] = "auto",
+    precision: Precision = "32-true",
+    accelerator: Accelerator = "auto",
     devices: Annotated[int, typer.Option(help="Devices per node.")] = 1,
     num_nodes: Annotated[
         int, typer.Option(help="Nodes; start the command on each (torchrun).")
     ] = 1,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Processes that read the data set's files or make procedural scenes; without "
-            "any, scenes are made on the training device."
-        ),
-    ] = 0,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+    workers: Workers = 0,
+    progress: Progress = True,
 ) -> None:
     """Train a network under a recipe; every value of it can be overridden.
 
