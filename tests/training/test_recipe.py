@@ -95,8 +95,6 @@ def test_override():
         ({"lr": 0}, "lr must be positive"),
         ({"clip": -1.0}, "clip must be positive"),
         ({"ema": 1.0}, "ema must be in"),
-        ({"fade": 1.5, "coarse_pass": True}, "fade must be in"),
-        ({"fade": 0.5}, "a network with a coarse pass"),
         ({"seed": -1}, "seed must be in"),
         ({"schedule": [[0.5, 1], [0.2, 1]]}, "shares that rise"),
         ({"schedule": [[0, 1], [1.5, 1]]}, "shares that rise"),

@@ -10,7 +10,6 @@ from statistics import median
 from typing import Any, cast
 
 import lightning as L
-import numpy as np
 import torch
 import torch.distributed as dist
 from lightning.pytorch.loggers import TensorBoardLogger
@@ -31,7 +30,6 @@ from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.depthwise import has_triton, speed_up_depthwise
-from mobilestereonet.training.fading import fade
 from mobilestereonet.training.losses import (
     cross_entropy_sum,
     distillation_sum,
@@ -45,9 +43,6 @@ from mobilestereonet.training.teacher import Teacher
 
 _UNGUIDED = 4
 """Of so many steps one is without guidance, as the coarse pass itself is."""
-
-_FADE = 1 << 34
-"""Stream of the random generator beside those of `training.batches`."""
 
 _OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
@@ -146,8 +141,6 @@ class StereoModule(L.LightningModule):
         guidance = self.net.guidance(*views)
         if guidance is not None and self.global_step % _UNGUIDED == 0:
             guidance = torch.zeros_like(guidance)
-        elif guidance is not None and self.recipe.fade:
-            views = self._fade(pairs, *views)
         volume = self.net.cost_volume(*views)
         scores = self.net.aggregate(volume, guidance)
         with torch.autocast(self.device.type, enabled=False):
@@ -169,15 +162,6 @@ class StereoModule(L.LightningModule):
         self.log("loss", loss.detach(), prog_bar=True, logger=False)
         self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
         return loss
-
-    def _fade(self, pairs: StereoSample, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Views with places that the coarse pass alone can match, where truth says how far."""
-        if pairs.disparity is None or pairs.valid is None:
-            return left, right
-        mask = trained_pixels(pairs.disparity, pairs.valid, self.recipe.max_disparity)
-        batch = self.global_step * self.trainer.world_size + self.trainer.global_rank
-        generator = np.random.Generator(np.random.Philox(key=[self.recipe.seed | _FADE, batch]))
-        return fade(left, right, pairs.disparity, mask, self.recipe.fade, generator)
 
     def _truth_loss(
         self,

@@ -69,8 +69,6 @@ class Recipe:
         teacher: Another network to learn from, where it is sure, beside or without ground truth:
             the name of embedded weights, or a weights file. It sees each pair before the changes
             of colour and sensor. None: ground truth alone.
-        fade: Share of pairs, 0..1, a place of which loses its contrast in what the fine pass sees
-            when a coarse one guides it, see `training.fading`.
         distil: Weight of what the teacher says, against the ground truth's 1.
         zero_residuals: Start the residual branches of fresh weights at zero, see
             `StereoNet.zero_residuals`; the paper does not.
@@ -105,7 +103,6 @@ class Recipe:
     save_every: int = 250
     volume_cross_entropy: float = 0.0
     zero_residuals: bool = False
-    fade: float = 0.0
     teacher: str | None = None
     distil: float = 1.0
     seed: int = 0
@@ -129,11 +126,6 @@ class Recipe:
             raise InputError(
                 "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
                 f"{self.cross_entropy}: set it, such as cross_entropy=5"
-            )
-        if not 0 <= self.fade <= 1 or (self.fade and not self.coarse_pass):
-            raise InputError(
-                "recipe: fade must be in 0..1, and above 0 needs a network with a coarse pass, got "
-                f"{self.fade} with coarse_pass={self.coarse_pass}"
             )
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
