@@ -150,7 +150,6 @@ def test_views_of_any_size():
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.filterwarnings("ignore")
 def test_one_step_in_four_is_without_guidance():
     guided = []
 
