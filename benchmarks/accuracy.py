@@ -27,10 +27,10 @@ from rich.table import Table
 from mobilestereonet.data import data_sets, open_data_set, write_png
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
 from mobilestereonet.plots import Picture, colour_disparity, side_by_side, to_picture
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.weights import embedded_models
 
 SYNTHETIC = ("sceneflow", "sintel", "vkitti2", "procedural")

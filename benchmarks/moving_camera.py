@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
-from mobilestereonet.data.synthetic.builder import turns
-from mobilestereonet.data.synthetic.scene import Scene
 from mobilestereonet.plots import Picture, to_picture
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
+from mobilestereonet.scenes.builder import turns
+from mobilestereonet.scenes.scene import Scene
 from mobilestereonet.streams.video_files import write_video
 
 

@@ -20,11 +20,11 @@ from torch import Tensor
 
 from accuracy import real_and_synthetic
 from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.weights import open_weights
 
 REFERENCE = "torch:fp32"

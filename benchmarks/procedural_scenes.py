@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from mobilestereonet.data.synthetic import ProceduralScenes
+from mobilestereonet.scenes import ProceduralScenes
 from mobilestereonet.training.batches import TrainingPairs
 from mobilestereonet.training.recipe import get_recipe
 

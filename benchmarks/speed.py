@@ -39,9 +39,9 @@ from torch import Tensor
 
 from mobilestereonet.costs import count_costs
 from mobilestereonet.data.motorcycle import motorcycle
+from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.nets import StereoNet, create_model, model_config
 from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.choose import open_runtime
 from mobilestereonet.weights import embedded_models, load_pretrained
 from plain import PlainNet
 

@@ -23,9 +23,9 @@ from rich.table import Table
 
 from accuracy import SCENE_SEED, matchers
 from mobilestereonet.data.sample import StereoSample, collate
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
-from mobilestereonet.data.synthetic.noise import noise_field
 from mobilestereonet.metrics import StereoMetrics
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
+from mobilestereonet.scenes.noise import noise_field
 
 CONFIG = SceneConfig(
     height=384,

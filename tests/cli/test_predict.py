@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
 from mobilestereonet import StereoMatcher, create_model, save_weights
-from mobilestereonet.runtimes.torch import TorchRuntime
+from mobilestereonet.engines.torch import TorchRuntime
 from mobilestereonet.weights import files
 
 

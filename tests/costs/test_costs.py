@@ -15,16 +15,16 @@ from typer.testing import CliRunner
 
 from mobilestereonet.cli.cost import cost
 from mobilestereonet.costs import Cost, count_costs
-from mobilestereonet.costs.blocks import (
+from mobilestereonet.costs.count import layer_macs
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import create_model, model_config
+from mobilestereonet.paper.blocks import (
     block_macs,
     expansion_curve,
     plot_expansion,
     reduction_factor,
 )
-from mobilestereonet.costs.count import layer_macs
-from mobilestereonet.costs.paper import model_sizes, paper_tables
-from mobilestereonet.errors import InputError
-from mobilestereonet.nets import create_model, model_config
+from mobilestereonet.paper.tables import model_sizes, paper_tables
 
 SHARED = Path(os.environ.get("MSNET_SHARED", Path(__file__).parents[3] / "shared"))
 
@@ -174,7 +174,7 @@ def test_cells_are_the_printed_ones(cells):
 
 @needs_shared
 def test_data_is_the_shared_copy():
-    ours = resources.files("mobilestereonet.costs") / "paper_tables.json"
+    ours = resources.files("mobilestereonet.costs") / "tables.json"
     copy, original = (
         json.loads(path.read_text()) for path in (ours, SHARED / "paper" / "tables.json")
     )

@@ -12,6 +12,7 @@ from mobilestereonet.cli.evaluate import evaluate as command
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import (
     EvaluationProtocol,
@@ -20,7 +21,6 @@ from mobilestereonet.evaluation import (
     save_evaluations,
 )
 from mobilestereonet.nets import create_model
-from mobilestereonet.runtimes.sgbm import StereoSGBM
 from mobilestereonet.weights import save_weights
 
 SCALE = 100.0
@@ -214,7 +214,7 @@ def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monk
     save_weights(create_model("msnet2d", max_disparity=32), weights)
     seen = []
     monkeypatch.setattr(
-        "mobilestereonet.runtimes.torch.TorchRuntime.__call__",
+        "mobilestereonet.engines.torch.TorchRuntime.__call__",
         lambda self, left, right: seen.append(left) or left[:, 0],
     )
     command("kitti2015", kitti, weights=weights, authors=True, json=report)

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
+from mobilestereonet.engines.torch import TorchRuntime
 from mobilestereonet.inference import load_pair
-from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import files
 
 SMALL = {"max_disparity": 32}

@@ -12,7 +12,7 @@ from noise_pairs import centre, make_pair
 
 from extras import need_extra
 from mobilestereonet.cli.main import main
-from mobilestereonet.runtimes.sgbm import StereoSGBM
+from mobilestereonet.engines.sgbm import StereoSGBM
 
 video = import_module("mobilestereonet.cli.video")
 

@@ -5,8 +5,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.errors import InputError
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import PositionBatches, TrainingPairs
 
 AUGMENT = AugmentConfig(

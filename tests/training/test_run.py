@@ -9,9 +9,9 @@ from safetensors.torch import load_file
 
 from mobilestereonet.data import write_pfm, write_png
 from mobilestereonet.data.augment import AugmentConfig
-from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import create_model
+from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import RunData, train

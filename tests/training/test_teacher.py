@@ -11,8 +11,8 @@ from mobilestereonet import InputError, create_model
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import TrainingBatch, TrainingPairs
 from mobilestereonet.training.losses import distillation_sum
 from mobilestereonet.training.module import StereoModule

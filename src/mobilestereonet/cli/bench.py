@@ -30,12 +30,12 @@ def bench(
     from rich.console import Console
     from rich.table import Table
 
+    from mobilestereonet.engines.choose import check_device, choose_engine, remember_fastest
+    from mobilestereonet.engines.compare import compare_engines, fastest, installed_engines
     from mobilestereonet.export import real_pair
     from mobilestereonet.export.metadata import check_size
     from mobilestereonet.inference.matcher import pretrained_net
     from mobilestereonet.nets.normalise import normalise
-    from mobilestereonet.runtimes.choose import check_device, choose_engine, remember_fastest
-    from mobilestereonet.runtimes.compare import compare_engines, fastest, installed_engines
 
     name, net = pretrained_net(model, weights)
     device = check_device("auto", device)

@@ -12,7 +12,7 @@ import typer
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
-    from mobilestereonet.costs.paper import PaperTable
+    from mobilestereonet.paper.tables import PaperTable
 
 _SIZE = (256, 512)
 
@@ -100,27 +100,27 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
 
 
 def _print_paper(plot: Path | None, as_json: bool) -> None:
-    from mobilestereonet.costs import blocks, paper
+    from mobilestereonet.paper import blocks, tables
 
     if plot:
         blocks.plot_expansion(plot)
-    tables = paper.paper_tables()
+    ablations = tables.paper_tables()
     if as_json:
-        cells = [asdict(cell) for table in tables for row in table.rows for cell in row.cells]
+        cells = [asdict(cell) for table in ablations for row in table.rows for cell in row.cells]
         print(json.dumps(cells, indent=2))
         return
     print(
         "Errors are the paper's figures. ! marks a cost that does not agree with the printed one."
     )
     _print_blocks()
-    for table in tables:
+    for table in ablations:
         _print_rows(table)
     _print_table(
         "Model size: checkpoint file in MB (1e6 bytes)",
         ["model", "ours", "paper"],
         [
             [size.model, "" if size.ours is None else f"{size.ours:.2f}", f"{size.printed:.2f}"]
-            for size in paper.model_sizes()
+            for size in tables.model_sizes()
         ],
     )
     if plot:
@@ -129,9 +129,9 @@ def _print_paper(plot: Path | None, as_json: bool) -> None:
 
 def _print_blocks() -> None:
     """The paper's Table 1 and the curves of its expansion-factor figure."""
-    from mobilestereonet.costs import blocks, paper
+    from mobilestereonet.paper import blocks, tables
 
-    printed = paper.printed_reduction_factors()
+    printed = tables.printed_reduction_factors()
     _print_table(
         "Table 1: MACs per output element, k = 3, 32 -> 64 channels, t = 2",
         ["block", "MACs", "reduction\nfactor", "\npaper"],

@@ -35,9 +35,9 @@ def preview(
     from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.data import open_data_set
     from mobilestereonet.data.files import write_png
-    from mobilestereonet.data.synthetic import ProceduralScenes
     from mobilestereonet.errors import InputError
     from mobilestereonet.plots import contact_sheet
+    from mobilestereonet.scenes import ProceduralScenes
     from mobilestereonet.training.recipe import get_recipe, override
 
     options = parse_assignments(assignments or [])

@@ -35,9 +35,9 @@ def web(
         raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
 
     from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.engines.choose import AUTO, RUNTIMES
+    from mobilestereonet.engines.sgbm import StereoSGBM
     from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
-    from mobilestereonet.runtimes.choose import AUTO, RUNTIMES
-    from mobilestereonet.runtimes.sgbm import StereoSGBM
     from mobilestereonet.web.examples import examples
     from mobilestereonet.web.page import Offer
     from mobilestereonet.web.server import running

@@ -13,6 +13,7 @@ from uuid import uuid4
 import torch
 from torch import Tensor
 
+from mobilestereonet.engines.compare import times_in_turns
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.base import Format, Job, Pair, Run
 from mobilestereonet.export.coreml import CoreML
@@ -25,7 +26,6 @@ from mobilestereonet.export.pairs import calibration_pairs, real_pair
 from mobilestereonet.export.pt2 import PT2
 from mobilestereonet.nets import StereoNet
 from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.compare import times_in_turns
 
 FORMATS: dict[str, Format] = {
     format_.name: format_

@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from mobilestereonet.accelerate.graph import Graph
 from mobilestereonet.export.base import Format, Job, Run
-from mobilestereonet.runtimes.graph import Graph
 
 _METADATA = "mobilestereonet"
 _FILE_IDENTIFIER = b"TFL3"

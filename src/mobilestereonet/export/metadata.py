@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import mobilestereonet
+from mobilestereonet.accelerate.graph import narrowest
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import NetConfig, StereoNet
 from mobilestereonet.nets.normalise import IMAGENET_MEAN, IMAGENET_STD
-from mobilestereonet.runtimes.graph import narrowest
 from mobilestereonet.weights import card, embedded_models
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mobilestereonet.engines.onnxruntime import to_onnx
 from mobilestereonet.export.base import INPUTS, OUTPUT, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
-from mobilestereonet.runtimes.onnxruntime import to_onnx
 
 
 class ONNX(Format):

@@ -7,9 +7,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from mobilestereonet.engines.openvino import to_openvino
 from mobilestereonet.export.base import INPUTS, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
-from mobilestereonet.runtimes.openvino import to_openvino
 
 _METADATA = "mobilestereonet"
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from mobilestereonet.data import PairFolder, StereoSample
 from mobilestereonet.data.motorcycle import motorcycle
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
 from mobilestereonet.export.base import Pair
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 
 _SCENES = 24
 _SCENE_SEED = 3_000_017  # no training, validation or benchmark uses it

@@ -9,8 +9,8 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from mobilestereonet.accelerate.graph import Graph
 from mobilestereonet.export.base import Format, Job, Run
-from mobilestereonet.runtimes.graph import Graph
 
 _METADATA = "metadata.json"
 

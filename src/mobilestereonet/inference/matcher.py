@@ -13,6 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mobilestereonet.engines.base import ConfidentRuntime, Runtime
+from mobilestereonet.engines.choose import AUTO, open_runtime
+from mobilestereonet.engines.scores import use_threads
+from mobilestereonet.engines.sgbm import StereoSGBM
+from mobilestereonet.engines.torch import TorchRuntime
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
@@ -22,11 +27,6 @@ from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import StereoNet, is_model, model_name
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import to_picture
-from mobilestereonet.runtimes.base import ConfidentRuntime, Runtime
-from mobilestereonet.runtimes.choose import AUTO, open_runtime
-from mobilestereonet.runtimes.scores import use_threads
-from mobilestereonet.runtimes.sgbm import StereoSGBM
-from mobilestereonet.runtimes.torch import TorchRuntime
 from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
 
 DEFAULT_MODEL = "msnet2d"

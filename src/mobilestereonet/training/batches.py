@@ -15,7 +15,7 @@ from torch.utils.data import Dataset, Sampler
 
 from mobilestereonet.data.augment import AugmentConfig, augment, geometry_only
 from mobilestereonet.data.sample import StereoSample, collate
-from mobilestereonet.data.synthetic import ProceduralScenes
+from mobilestereonet.scenes import ProceduralScenes
 
 _AUGMENT, _ORDER = 1 << 32, 1 << 33
 """Streams of the random generator beside the scenes' own, as bits of the key's first word."""

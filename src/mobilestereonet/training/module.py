@@ -20,6 +20,8 @@ from torch.nn.utils import (
     convert_conv3d_weight_memory_format,
 )
 
+from mobilestereonet.accelerate.depthwise import has_triton, speed_up_depthwise
+from mobilestereonet.accelerate.norm import fuse_activations
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import pad, unpad
@@ -29,7 +31,6 @@ from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.batches import TrainingBatch
-from mobilestereonet.training.depthwise import has_triton, speed_up_depthwise
 from mobilestereonet.training.losses import (
     cross_entropy_sum,
     distillation_sum,
@@ -37,7 +38,6 @@ from mobilestereonet.training.losses import (
     trained_pixels,
 )
 from mobilestereonet.training.muon import Muon
-from mobilestereonet.training.norm import fuse_activations
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
 

@@ -16,8 +16,8 @@ from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 import numpy as np
 
 from mobilestereonet.data.augment import AugmentConfig
-from mobilestereonet.data.synthetic import SceneConfig
 from mobilestereonet.errors import InputError
+from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.weights import embedded_models
 
 _PLACES = {"root", "textures"}

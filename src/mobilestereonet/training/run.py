@@ -24,11 +24,11 @@ from mobilestereonet.atomic import make_folder, write_atomically
 from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.scanners.base import StereoDataSet
-from mobilestereonet.data.synthetic import ProceduralScenes
-from mobilestereonet.data.synthetic.textures import find_photographs
 from mobilestereonet.errors import InputError
 from mobilestereonet.interruption import ctrl_c_sets
 from mobilestereonet.nets import is_model, model_name
+from mobilestereonet.scenes import ProceduralScenes
+from mobilestereonet.scenes.textures import find_photographs
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.engines.choose import open_runtime
+from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import NetConfig
 from mobilestereonet.nets.confidence import match_confidence
 from mobilestereonet.nets.disparity import regress_disparity
 from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.runtimes.choose import open_runtime
-from mobilestereonet.runtimes.scores import ScoresRuntime
 from mobilestereonet.weights import open_weights
 
 

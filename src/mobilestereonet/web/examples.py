@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.data.synthetic import ProceduralScenes, SceneConfig
+from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 
 _RENDERED = SceneConfig(
     height=320,

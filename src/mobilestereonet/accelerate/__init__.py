@@ -1,0 +1,1 @@
+"""Exact accelerations: rewritings of the networks that keep their results."""

@@ -1,0 +1,1 @@
+"""The paper's tables and ablations, recomputed beside the printed figures."""

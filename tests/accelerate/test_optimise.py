@@ -1,0 +1,195 @@
+import copy
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from mobilestereonet import InputError, create_model, list_models, load_authors_checkpoint
+from mobilestereonet.accelerate.optimise import (
+    columns_first,
+    drop_training_heads,
+    fold_norms,
+    fuse_convolutions,
+    images_one_by_one,
+    optimise,
+    slice_blocks,
+    volume_by_planes,
+    weights_channels_last,
+)
+from mobilestereonet.engines import fused
+from mobilestereonet.nets.blocks import V2Block
+
+TESTS = Path(__file__).parents[1]
+STEPS = (
+    fold_norms,
+    images_one_by_one,
+    drop_training_heads,
+    volume_by_planes,
+    columns_first,
+    slice_blocks,
+    fuse_convolutions,
+    weights_channels_last,
+)
+NAMES = ["msnet2d", "msnet3d", "msnet3d-authors", "baseline2d", "baseline3d"]
+NAMES += [name for name in list_models() if name.startswith("table2-")]
+NAMES += ["table3a-v1-v1", "table3a-v2-v2", "table3b-v1-v1", "table3b-v2-v2"]
+
+
+def network(name, **fields):
+    """In eval mode, with weights and statistics that leave the soft-argmax soft."""
+    torch.manual_seed(0)
+    net = create_model(name, max_disparity=32, **fields).eval()
+    for key, value in net.state_dict().items():
+        if key.endswith("running_mean"):
+            value.normal_(std=0.1)
+        elif value.ndim == 1 and value.is_floating_point():
+            value.uniform_(0.7, 1.3) if not key.endswith("bias") else value.normal_(std=0.1)
+        elif key == "guide.weight":
+            value.normal_()
+    left, right = torch.randn(2, 2, 3, 32, 64)
+    with torch.no_grad():
+        scores = net.scores(left, right)[-1]
+        net.heads[-1].score.weight /= scores.std()
+    return net, left, right
+
+
+def slices_of(monkeypatch, size):
+    """Cut blocks into slices of about ``size`` bytes: at these sizes one would hold them whole."""
+    monkeypatch.setattr(fused, "SLICE", size)
+    monkeypatch.setattr(fused, "MIN_ROWS", 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "coarse_pass"), [*((name, False) for name in NAMES), ("msnet3d", True)]
+)
+def test_rewritings_keep_the_result(name, coarse_pass, monkeypatch):
+    slices_of(monkeypatch, 10000)
+    net, left, right = network(name, coarse_pass=coarse_pass)
+    net, left, right = net.double(), left.double(), right.double()
+    with torch.inference_mode():
+        expected = net(left, right)
+        assert 0.5 < expected.std() < 12  # neither one value nor the ends of the range everywhere
+        for step in STEPS:
+            step(net)
+            # One by one in the final networks alone: it takes long.
+            if name in ("msnet2d", "msnet3d") or step is STEPS[-1]:
+                torch.testing.assert_close(net(left, right), expected, rtol=0, atol=1e-6)
+    assert not any(isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d) for module in net.modules())
+
+
+def parity():
+    spec = importlib.util.spec_from_file_location("parity", TESTS / "weights/test_authors.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_equals_the_authors_networks(name, tmp_path):
+    fixture = parity()
+    torch.save(fixture.authors_state(name), tmp_path / "checkpoint.ckpt")
+    net = optimise(load_authors_checkpoint(tmp_path / "checkpoint.ckpt").double())
+    assert fixture.largest_error(net, torch.float64, fixture.OUTPUTS[name], seed=7) < 1e-6
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-4), (torch.bfloat16, 0.5)])
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d", "table3a-v1-v1", "table3b-v2-v2"])
+def test_fused_operators_round_and_no_more(name, dtype, tolerance, monkeypatch):
+    slices_of(monkeypatch, 10000)
+    net, left, right = network(name)
+    with torch.inference_mode():
+        expected = copy.deepcopy(net).double()(left.double(), right.double())
+        views = (view.to(dtype, memory_format=torch.channels_last) for view in (left, right))
+        disparity = optimise(net).to(dtype)(*views)
+    assert disparity.dtype == torch.float32
+    assert (disparity - expected).abs().mean() < tolerance
+
+
+@pytest.mark.parametrize("size", [1, 5600, 24000])
+@pytest.mark.parametrize("dims", [2, 3])
+@pytest.mark.parametrize(
+    ("outputs", "stride", "dilation"), [(4, 1, 1), (6, 1, 1), (4, 1, 2), (6, 2, 1)]
+)
+def test_a_block_in_slices(dims, outputs, stride, dilation, size, monkeypatch):
+    slices_of(monkeypatch, size)
+    torch.manual_seed(0)
+    block = V2Block(dims, 4, outputs, expansion=3, stride=stride, dilation=dilation)
+    layers = nn.Sequential(block, nn.ReLU()).double().eval()
+    for module in layers.modules():
+        if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+            module.running_mean.normal_()
+            module.bias.data.normal_(std=3)  # so that padding differs from the value around it
+    for height in (1, 2, 11):
+        x = torch.randn(2, 4, height, *[5] * (dims - 2), 7, dtype=torch.float64)
+        sliced = copy.deepcopy(layers)
+        with torch.inference_mode():
+            expected = layers(x)
+            for step in (fold_norms, slice_blocks, fuse_convolutions):
+                step(sliced)
+            torch.testing.assert_close(sliced(x), expected, rtol=0, atol=1e-12)
+
+
+def test_norms_stay_in_training():
+    with pytest.raises(InputError, match=r"eval mode: call net\.eval"):
+        fold_norms(create_model("msnet2d", max_disparity=32))
+
+
+def test_the_network_given_stays_as_it_is():
+    net = network("msnet2d")[0]
+    state = {key: value.clone() for key, value in net.train().state_dict().items()}
+    optimise(net)
+    assert net.training
+    assert net.state_dict().keys() == state.keys()
+    assert all(value.equal(state[key]) for key, value in net.state_dict().items())
+
+
+VIEWS = {"permute", "select", "slice", "split", "squeeze", "t", "transpose", "unsqueeze", "view"}
+
+
+class Operators(TorchDispatchMode):
+    """Counts operators by name, but for views; notes the largest tensor that one makes."""
+
+    def __init__(self):
+        super().__init__()
+        self.counts = {}
+        self.largest = 0
+
+    def __torch_dispatch__(self, operator, types, args=(), kwargs=None):
+        result = operator(*args, **(kwargs or {}))
+        name = operator.overloadpacket.__name__
+        if name not in VIEWS:
+            self.counts[name] = self.counts.get(name, 0) + 1
+        if isinstance(result, torch.Tensor):
+            self.largest = max(self.largest, result.numel())
+        return result
+
+
+def operators(net):
+    views = [torch.randn(1, 3, 64, 128).to(memory_format=torch.channels_last) for _ in range(2)]
+    with torch.inference_mode(), Operators() as mode:
+        net(*views)
+    return mode
+
+
+@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 640), ("msnet3d", 660)])
+def test_number_of_operators(name, calls):
+    net = create_model(name, max_disparity=32).eval()
+    plain, fast = operators(net), operators(optimise(net))
+    # Norms and all activations after convolutions are gone; the ReLU of a sum and of the cost
+    # volume's first layer are left.
+    assert plain.counts["batch_norm"] > 150 and plain.counts["hardtanh_"] > 100
+    assert not {"batch_norm", "hardtanh_", "hardtanh"} & fast.counts.keys()
+    assert fast.counts.get("relu", 0) + fast.counts.get("relu_", 0) <= 14
+    assert sum(fast.counts.values()) < calls < 0.9 * sum(plain.counts.values())
+
+
+# Of one view in the 2D network and of both in the 3D one, whose correlation takes all channels.
+@pytest.mark.parametrize(("name", "views"), [("msnet2d", 1), ("msnet3d", 2)])
+def test_no_tensor_is_larger_than_the_features(name, views, monkeypatch):
+    slices_of(monkeypatch, 1)
+    net = create_model(name, max_disparity=32).eval()
+    features = views * 320 * 16 * 32
+    assert operators(optimise(net)).largest == features < operators(net).largest

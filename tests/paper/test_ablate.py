@@ -1,0 +1,133 @@
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mobilestereonet.cli.main import main
+from mobilestereonet.data import write_png
+from mobilestereonet.data.augment import AugmentConfig
+from mobilestereonet.errors import InputError
+from mobilestereonet.paper import ablate as module
+from mobilestereonet.paper.ablate import ablate, ablation_table, table_models
+from mobilestereonet.scenes import SceneConfig
+from mobilestereonet.training.recipe import Recipe, get_recipe, override
+from mobilestereonet.training.run import RunData
+from mobilestereonet.weights import load_weights
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+MODELS = ["table3a-v1-v1", "table3a-v1-v2"]
+RECIPE = Recipe(
+    max_disparity=32,
+    scenes=SceneConfig(
+        height=48, width=64, max_disparity=20, min_disparity=4, noise_textures=16, texture_size=32
+    ),
+    augment=AugmentConfig(height=32, width=48),
+    val_scenes=2,
+    batch_size=1,
+    steps=2,
+)
+
+
+def test_the_papers_tables():
+    volumes = ["concatenation", "correlation", *(f"interlaced-{i}" for i in (1, 2, 4, 8, 16))]
+    assert table_models("2") == [f"table2-{volume}" for volume in volumes]
+    sizes = {name: len(table_models(name)) for name in ("3a", "3b", "appendix2d", "appendix3d")}
+    assert sizes == {"3a": 9, "3b": 9, "appendix2d": 4, "appendix3d": 4}
+    assert table_models("appendix2d")[0] == "appendix2d-conv-conv"
+    with pytest.raises(InputError, match="unknown table '4'"):
+        table_models("4")
+
+
+def test_two_networks(tmp_path, monkeypatch):
+    trained = []
+
+    def counted(recipe, folder, **options):
+        trained.append((recipe.model, options["resume"]))
+        return train(recipe, folder, **options)
+
+    train = module.train
+    monkeypatch.setattr(module, "train", counted)
+    options = {"accelerator": "cpu", "progress": False}
+    write_png(tmp_path / "photographs" / "0.png", np.full((32, 32, 3), 200, np.uint8))
+    monkeypatch.chdir(tmp_path)
+    relative = replace(RECIPE, textures="photographs")
+    first = next(ablate(MODELS, relative, tmp_path, **options))
+    (tmp_path / "photographs").rename(tmp_path / "moved")
+    recipe = replace(RECIPE, textures="moved")
+    rows = list(ablate(MODELS, recipe, tmp_path, **options))
+    assert trained == [(MODELS[0], False), (MODELS[1], False)]
+    assert [row.model for row in rows] == MODELS and rows[0] == first
+
+    # The figures are those of the exported weights on the validation scenes.
+    scenes = RunData(recipe, 0).validation("cpu")
+    for row in rows:
+        run = tmp_path / row.model
+        net = load_weights(run / "weights.safetensors")
+        errors = []
+        for index in range(2):
+            scene = scenes[index]
+            mean = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
+            std = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
+            views = [((view - mean) / std)[None] for view in (scene.left, scene.right)]
+            with torch.no_grad():
+                disparity = net(*views)[0]
+            mask = scene.valid & (scene.disparity > 0) & (scene.disparity < 32)
+            errors.append((disparity - scene.disparity).abs()[mask].mean().item())
+        assert row.figures["EPE"] == pytest.approx(sum(errors) / 2, rel=1e-4)
+        assert row.pairs == 2 and 0 <= row.figures["px-3"] <= 100
+    record = json.loads((tmp_path / "ablation.json").read_text())
+    assert [row["model"] for row in record["rows"]] == MODELS
+    assert record["recipe"]["steps"] == 2
+
+    # What was scored is not trained again, what was started is resumed.
+    (tmp_path / MODELS[1] / "score.json").unlink()
+    assert list(ablate(MODELS, recipe, tmp_path, **options)) == rows
+    assert trained[2:] == [(MODELS[1], True)]
+    with pytest.raises(InputError, match=r"under another recipe \(lr 0.001 -> 1.0\)"):
+        next(ablate(MODELS, replace(recipe, lr=1.0), tmp_path, **options))
+    with pytest.raises(InputError, match=r"\(textures .*photographs -> None\)"):
+        next(ablate(MODELS, RECIPE, tmp_path, **options))
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    values = {
+        "max_disparity": 32,
+        "val_scenes": 1,
+        "batch_size": 1,
+        "augment.height": 32,
+        "augment.width": 48,
+        "scenes.height": 48,
+        "scenes.width": 64,
+        "scenes.max_disparity": 20,
+        "scenes.min_disparity": 4,
+        "scenes.noise_textures": 16,
+        "scenes.texture_size": 32,
+    }
+    arguments = ["msnet", "ablate", str(tmp_path), "--models", "table2-correlation", "--steps", "1"]
+    arguments += ["--accelerator", "cpu", "--no-progress"]
+    arguments += [f"--set={key}={value}" for key, value in values.items()]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    out = capsys.readouterr().out
+    record = json.loads((tmp_path / "ablation.json").read_text())
+    figures = record["rows"][0]["figures"]
+    assert f"table2-correlation: EPE {figures['EPE']:.3f} px (1 of 1 done)" in out
+    line = next(line for line in out.splitlines() if "│ table2-correlation" in line)
+    cells = [cell.strip() for cell in line.strip("│").split("│")]
+    # The paper's Table 2: EPE 1.71, D1 6.80, px-3 7.84.
+    assert cells[2::2] == ["1.71", "6.80", "7.84"]
+    assert cells[1::2] == [f"{figures[name]:.2f}" for name in ("EPE", "D1", "px-3")]
+    assert record["recipe"] == json.loads(
+        override(get_recipe("procedural"), {**values, "steps": 1}).to_json()
+    )
+
+
+def test_a_network_that_is_in_no_table():
+    rows = [module.AblationRow("msnet2d", 3, {"EPE": 1.0, "D1": 2.0, "px-3": 3.0})]
+    table = ablation_table(rows, RECIPE)
+    assert table.row_count == 1 and [list(c.cells) for c in table.columns][2] == [""]
