@@ -10,7 +10,10 @@ from mobilestereonet.errors import InputError
 if TYPE_CHECKING:
     from mobilestereonet.data.sample import Calibration, StereoSample
     from mobilestereonet.inference import StereoMatcher, StereoResult
-    from mobilestereonet.nets import NetConfig, StereoNet, create_model, list_models
+    from mobilestereonet.nets import StereoModel, list_models, register_model
+    from mobilestereonet.nets import build_model as create_model
+    from mobilestereonet.nets.msnet import StereoNet
+    from mobilestereonet.nets.msnet_config import NetConfig
     from mobilestereonet.weights import load_authors_checkpoint, load_weights, save_weights
 
 __version__ = "0.1.0"
@@ -20,6 +23,7 @@ __all__ = [
     "InputError",
     "NetConfig",
     "StereoMatcher",
+    "StereoModel",
     "StereoNet",
     "StereoResult",
     "StereoSample",
@@ -27,6 +31,7 @@ __all__ = [
     "list_models",
     "load_authors_checkpoint",
     "load_weights",
+    "register_model",
     "save_weights",
 ]
 
@@ -34,12 +39,16 @@ __all__ = [
 _ROOMS = {
     "data.sample": ("Calibration", "StereoSample"),
     "inference": ("StereoMatcher", "StereoResult"),
-    "nets": ("NetConfig", "StereoNet", "create_model", "list_models"),
+    "nets": ("StereoModel", "list_models", "register_model"),
+    "nets.msnet": ("StereoNet",),
+    "nets.msnet_config": ("NetConfig",),
     "weights": ("load_authors_checkpoint", "load_weights", "save_weights"),
 }
 
 
 def __getattr__(name: str) -> Any:
+    if name == "create_model":
+        return importlib.import_module(f"{__name__}.nets").build_model
     for room, names in _ROOMS.items():
         if name in names:
             return getattr(importlib.import_module(f"{__name__}.{room}"), name)

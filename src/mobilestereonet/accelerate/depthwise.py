@@ -1,8 +1,8 @@
-"""Depthwise convolutions whose gradients come quickly, and rightly.
+"""Depthwise convolutions with fast gradients.
 
 oneDNN is fast at the gradients of plain 2D depthwise convolutions only (PyTorch 2.13, channels
 last). The others are put together from layers that it does well. On NVIDIA GPUs those in 3D have
-kernels of their own, see `training.depthwise_triton`.
+kernels of their own, see `accelerate.depthwise_triton`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.grad import conv2d_weight
+
+from mobilestereonet.accelerate.modules import replace_modules
 
 
 @cache
@@ -33,73 +35,131 @@ def has_triton() -> bool:
     )
 
 
-class DepthwiseConv3d(nn.Conv3d):
-    """A 3x3x3 depthwise convolution with padding 1 and stride 1 or 2.
+def fast_depthwise(net: nn.Module) -> None:
+    """Replace 3x3x3 and dilated 3x3 depthwise convolutions without bias, in place.
+
+    The replacements share the weights, under the same names.
+    """
+    replace_modules(net, (nn.Conv2d, nn.Conv3d), _fast)
+
+
+def _fast(conv: nn.Conv2d | nn.Conv3d) -> nn.Module:
+    depthwise = conv.groups == conv.in_channels == conv.out_channels > 1 and conv.bias is None
+    if not depthwise or set(conv.kernel_size) != {3}:
+        return conv
+    if isinstance(conv, nn.Conv3d):
+        plain = set(conv.dilation) == set(conv.padding) == {1} and len(set(conv.stride)) == 1
+        return DepthwiseConv3d(conv) if plain else conv
+    (step,) = set(conv.dilation) if len(set(conv.dilation)) == 1 else (1,)
+    fits = step > 1 and set(conv.padding) == {step} and set(conv.stride) == {1}
+    return DilatedDepthwiseConv2d(conv) if fits else conv
+
+
+class DepthwiseConv3d(nn.Module):
+    """A 3x3x3 depthwise convolution with padding 1, with the weight of another.
 
     On a CPU its gradients are a forward pass with the kernel turned around, and 2D depthwise
     convolutions: some forty times faster than oneDNN's.
     """
 
-    def forward(self, input: Tensor) -> Tensor:
+    def __init__(self, conv: nn.Conv3d) -> None:
+        super().__init__()
+        self.weight = conv.weight
+        self.stride = conv.stride[0]
+
+    def forward(self, x: Tensor) -> Tensor:
         """(B, C, D, H, W) -> (B, C, D / stride, H / stride, W / stride), rounded up."""
-        if self.bias is not None:  # of a batch norm that was folded in
-            return super().forward(input)
-        if input.is_cuda and has_triton() and input.dtype != torch.float64 and not self.groups % 8:
-            from mobilestereonet.accelerate.depthwise_triton import TritonDepthwise3d
-
-            if torch.is_autocast_enabled("cuda"):
-                input = input.to(torch.get_autocast_dtype("cuda"))
-            return cast(Tensor, TritonDepthwise3d.apply(input, self.weight, self.stride[0]))  # type: ignore[no-untyped-call]
-        if input.device.type != "cpu" or not torch.is_grad_enabled():
-            return super().forward(input)
-        return cast(Tensor, _Depthwise.apply(input, self.weight, self.stride[0]))  # type: ignore[no-untyped-call]
+        weight, channels = self.weight, x.shape[1]
+        if torch.is_autocast_enabled(x.device.type):
+            x = x.to(torch.get_autocast_dtype(x.device.type))
+        if x.is_cuda and has_triton() and x.dtype != torch.float64 and channels % 8 == 0:
+            return cast(Tensor, depthwise_conv3d(x, weight, self.stride))
+        weight = weight.to(x.dtype)
+        if x.device.type == "cpu" and torch.is_grad_enabled():
+            return cast(Tensor, depthwise_conv3d(x, weight, self.stride))
+        return F.conv3d(x, weight, stride=self.stride, padding=1, groups=channels)
 
 
-class DilatedDepthwiseConv2d(nn.Conv2d):
-    """A dilated 3x3 depthwise convolution, padded by its dilation.
+class DilatedDepthwiseConv2d(nn.Module):
+    """A dilated 3x3 depthwise convolution, padded by its dilation, with the weight of another.
 
     Each of the dilation's interleaved images is convolved on its own, without dilation. oneDNN is
     ten times slower, and its bfloat16 gradient of the weight is uninitialised memory; cuDNN's
     gradient of the weight was slower than without dilation, too.
     """
 
-    def forward(self, input: Tensor) -> Tensor:
+    def __init__(self, conv: nn.Conv2d) -> None:
+        super().__init__()
+        self.weight = conv.weight
+        self.dilation = conv.dilation[0]
+
+    def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W), H and W multiples of the dilation -> the same shape."""
-        step = self.dilation[0]
-        images = input.permute(0, 2, 3, 1)
+        step = self.dilation
+        images = x.permute(0, 2, 3, 1)
         images = images.unflatten(2, (-1, step)).unflatten(1, (-1, step))
         images = images.permute(0, 2, 4, 1, 3, 5)  # (B, step, step, H / step, W / step, C)
         plain = images.flatten(0, 2).permute(0, 3, 1, 2)
-        output: Tensor = F.conv2d(plain, self.weight, self.bias, padding=1, groups=self.groups)
+        output: Tensor = F.conv2d(plain, self.weight, padding=1, groups=x.shape[1])
         output = output.permute(0, 2, 3, 1).unflatten(0, images.shape[:3])
         output = output.permute(0, 3, 1, 4, 2, 5).flatten(3, 4).flatten(1, 2)
         return output.permute(0, 3, 1, 2)
 
 
-def speed_up_depthwise(net: nn.Module) -> None:
-    """Let such convolutions of ``net`` be the classes above; their weights stay as they are."""
-    for module in net.modules():
-        if isinstance(module, nn.Conv2d | nn.Conv3d) and module.groups == module.out_channels > 1:
-            if isinstance(module, nn.Conv3d):
-                module.__class__ = DepthwiseConv3d
-            elif module.dilation != (1, 1):
-                module.__class__ = DilatedDepthwiseConv2d
+@torch.library.custom_op("mobilestereonet::depthwise_conv3d", mutates_args=())
+def depthwise_conv3d(x: Tensor, weight: Tensor, stride: int) -> Tensor:
+    """3x3x3 depthwise convolution, padding 1.
+
+    Args:
+        x: Volume (B, C, D, H, W).
+        weight: Kernels (C, 1, 3, 3, 3); on a CPU in the volume's type, on a GPU in any.
+        stride: Stride along all three axes.
+
+    Returns:
+        (B, C, D / stride, H / stride, W / stride), rounded up.
+    """
+    if x.is_cuda:
+        from mobilestereonet.accelerate.depthwise_triton import convolve
+
+        return convolve(x, weight, stride)
+    return F.conv3d(x, weight, stride=stride, padding=1, groups=x.shape[1])
 
 
-class _Depthwise(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, stride: int) -> Tensor:
-        ctx.save_for_backward(x, weight)
-        ctx.stride = stride
-        return F.conv3d(x, weight, stride=stride, padding=1, groups=x.shape[1])
+@depthwise_conv3d.register_fake
+def _(x: Tensor, weight: Tensor, stride: int) -> Tensor:
+    size = [-(-side // stride) for side in x.shape[2:]]
+    empty = x.new_empty(*x.shape[:2], *size)
+    return empty.contiguous(memory_format=torch.channels_last_3d)
 
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None]:
-        x, weight = ctx.saved_tensors
-        grad = grads[0].contiguous(memory_format=torch.channels_last_3d)
-        grad_x = _input_gradient(grad, weight.to(grad.dtype), x.shape, ctx.stride)
-        grad_weight = _weight_gradient(grad, x.to(grad.dtype), ctx.stride)
-        return grad_x.to(x.dtype), grad_weight.to(weight.dtype), None
+
+@torch.library.custom_op("mobilestereonet::depthwise_conv3d_backward", mutates_args=())
+def _depthwise_backward(
+    grad: Tensor, x: Tensor, weight: Tensor, stride: int
+) -> tuple[Tensor, Tensor]:
+    if x.is_cuda:
+        from mobilestereonet.accelerate.depthwise_triton import convolve_backward
+
+        return convolve_backward(grad, x, weight, stride)
+    grad = grad.contiguous(memory_format=torch.channels_last_3d)
+    grad_x = _input_gradient(grad, weight, x.shape, stride)
+    return grad_x, _weight_gradient(grad, x, stride)
+
+
+@_depthwise_backward.register_fake
+def _(grad: Tensor, x: Tensor, weight: Tensor, stride: int) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(x), torch.empty_like(weight)
+
+
+def _keep_inputs(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    x, weight, ctx.stride = inputs
+    ctx.save_for_backward(x, weight)
+
+
+def _gradient(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, None]:
+    return *_depthwise_backward(grad, *ctx.saved_tensors, ctx.stride), None
+
+
+depthwise_conv3d.register_autograd(_gradient, setup_context=_keep_inputs)
 
 
 def _input_gradient(grad: Tensor, weight: Tensor, shape: torch.Size, stride: int) -> Tensor:

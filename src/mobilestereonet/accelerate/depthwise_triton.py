@@ -7,13 +7,11 @@ block of channels at a block of places, and its neighbours find what they share 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 _TILE = (4, 4, 8)
 """Planes, rows and columns of a convolution's block: neighbours share what they read."""
@@ -187,48 +185,57 @@ def _run_convolve(
     )
 
 
-class TritonDepthwise3d(torch.autograd.Function):
-    """Convolve a volume (B, C, D, H, W) with kernels (C, 1, 3, 3, 3), padding 1, stride 1 or 2.
+def convolve(x: Tensor, weight: Tensor, stride: int) -> Tensor:
+    """Convolve volumes with a kernel per channel, padding 1.
 
-    C is a multiple of 8. Sums are taken in float32; the result has the volume's type.
+    Sums are taken in float32.
+
+    Args:
+        x: Volumes (B, C, D, H, W), C a multiple of 8.
+        weight: Kernels (C, 1, 3, 3, 3).
+        stride: 1 or 2.
+
+    Returns:
+        (B, C, D / stride, H / stride, W / stride), rounded up, in the type of ``x``.
     """
+    x = x.contiguous(memory_format=torch.channels_last_3d)
+    size = (-(-side // stride) for side in x.shape[2:])
+    y = _empty(x, (*x.shape[:2], *size))
+    _run_convolve(x, weight, y, stride, transposed=False)
+    return y
 
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, stride: int) -> Tensor:
-        """(B, C, D, H, W) -> (B, C, D / stride, H / stride, W / stride), rounded up."""
-        x = x.contiguous(memory_format=torch.channels_last_3d)
-        ctx.save_for_backward(x, weight)
-        ctx.stride = stride
-        size = (-(-side // stride) for side in x.shape[2:])
-        y = _empty(x, (*x.shape[:2], *size))
-        _run_convolve(x, weight, y, stride, transposed=False)
-        return y
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None]:
-        """Gradients of the volume (B, C, D, H, W) and of the kernels (C, 1, 3, 3, 3)."""
-        x, weight = ctx.saved_tensors
-        grad = grads[0].contiguous(memory_format=torch.channels_last_3d)
-        grad_x = _empty(x, x.shape)
-        _run_convolve(grad, weight, grad_x, ctx.stride, transposed=True)
-        batch, channels, depth, height, _ = grad.shape
-        rows = batch * depth * height
-        chunks = triton.cdiv(rows, _ROWS)
-        partial = torch.empty(chunks, 27, channels, device=x.device)
-        _correlate[(9, chunks, triton.cdiv(channels, _CHANNELS))](
-            x,
-            grad,
-            partial,
-            rows,
-            *x.shape[2:],
-            *grad.shape[2:4],
-            channels // 8,
-            grad_width=grad.shape[4],
-            stride=ctx.stride,
-            block_rows=_ROWS,
-            block_columns=_COLUMNS,
-            block_channels=_CHANNELS,
-        )
-        grad_weight = partial.sum(0).t().reshape(weight.shape)
-        return grad_x, grad_weight.to(weight.dtype), None
+def convolve_backward(
+    grad: Tensor, x: Tensor, weight: Tensor, stride: int
+) -> tuple[Tensor, Tensor]:
+    """Gradients of `convolve` with respect to the volumes and the kernels.
+
+    Args:
+        grad: Gradient of the result, of its shape.
+        x: As for `convolve`, as the following.
+        weight: Likewise.
+        stride: Likewise.
+    """
+    x, grad = (t.contiguous(memory_format=torch.channels_last_3d) for t in (x, grad))
+    grad_x = _empty(x, x.shape)
+    _run_convolve(grad, weight, grad_x, stride, transposed=True)
+    batch, channels, depth, height, _ = grad.shape
+    rows = batch * depth * height
+    chunks = triton.cdiv(rows, _ROWS)
+    partial = torch.empty(chunks, 27, channels, device=x.device)
+    _correlate[(9, chunks, triton.cdiv(channels, _CHANNELS))](
+        x,
+        grad,
+        partial,
+        rows,
+        *x.shape[2:],
+        *grad.shape[2:4],
+        channels // 8,
+        grad_width=grad.shape[4],
+        stride=stride,
+        block_rows=_ROWS,
+        block_columns=_COLUMNS,
+        block_channels=_CHANNELS,
+    )
+    grad_weight = partial.sum(0).t().reshape(weight.shape)
+    return grad_x, grad_weight.to(weight.dtype)

@@ -1,4 +1,4 @@
-"""Layers that do several steps in one pass over memory."""
+"""Fused layers: convolution, sum and activation in one pass over memory, and blocks by rows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from mobilestereonet.accelerate.modules import replace_modules
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.features import ResidualBlock
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
@@ -21,7 +22,7 @@ _ONEDNN: dict[str, tuple[str, list[float]]] = {
 }
 """oneDNN's names and limits of the activations that it can append to a convolution."""
 
-SLICE = 1 << 23
+SLICE_BYTES = 1 << 23
 """Bytes of a v2 block's hidden tensor, or of a head's input, that are worked on at a time.
 
 What a processor's cache can hold."""
@@ -35,6 +36,33 @@ def activation_name(layer: nn.Module) -> str:
     if isinstance(layer, nn.ReLU):
         return "relu"
     return "relu6" if isinstance(layer, nn.ReLU6) else "none"
+
+
+def process_by_rows(net: nn.Module) -> None:
+    """v2 blocks and 3D heads by rows. After `fold_norms`, before `fuse_convolutions`."""
+    replace_modules(net, V2Block, SlicedV2Block)
+    replace_modules(net, Head, lambda head: SlicedHead(head) if head.dims == 3 else head)
+
+
+def fuse_convolutions(net: nn.Module) -> None:
+    """Convolutions and v2 blocks do the activation after them in the same pass.
+
+    Residual blocks, pre-hourglass and hourglasses take their sums without another tensor. After
+    `fold_norms` and `process_by_rows`.
+    """
+    for layers in [module for module in net.modules() if isinstance(module, nn.Sequential)]:
+        for index in reversed(range(len(layers))):
+            layer = layers[index]
+            if isinstance(layer, nn.Conv2d | nn.Conv3d):
+                layers[index] = layer = FusedConv(layer)
+            last = layer.project if isinstance(layer, SlicedV2Block) else layer
+            name = activation_name(layers[index + 1]) if index + 1 < len(layers) else "none"
+            if isinstance(last, FusedConv) and name != "none":
+                last.activation = name
+                del layers[index + 1]
+    replace_modules(net, ResidualBlock, FusedResidualBlock)
+    replace_modules(net, PreHourglass, FusedPreHourglass)
+    replace_modules(net, Hourglass, FusedHourglass)
 
 
 class FusedConv(nn.Module):
@@ -155,7 +183,7 @@ class SlicedV2Block(nn.Module):
         stride = self.depthwise.conv.stride[0]
         height = (x.shape[2] - 1) // stride + 1
         hidden_row = x[:, 0, 0].numel() * self.depthwise.conv.in_channels * x.element_size()
-        rows = max(SLICE // hidden_row // stride, MIN_ROWS)
+        rows = max(SLICE_BYTES // hidden_row // stride, MIN_ROWS)
         if rows >= height:
             return self._project(self.depthwise(self.expand(x)), x)
         result: Tensor | None = None
@@ -193,7 +221,7 @@ class SlicedHead(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, width, H, ...) -> scores (B, H, ...), H being the first of the spatial axes."""
         batch, channels, height, *size = x.shape
-        rows = max(SLICE // (x[:, :, 0].numel() * x.element_size()), MIN_ROWS)
+        rows = max(SLICE_BYTES // (x[:, :, 0].numel() * x.element_size()), MIN_ROWS)
         dtype = torch.promote_types(x.dtype, torch.float32)
         shares = self.score.weight[0].flatten(1).t().to(dtype)  # (27, width)
         sums = x.new_zeros(batch, height + 2, *(length + 2 for length in size), dtype=dtype)

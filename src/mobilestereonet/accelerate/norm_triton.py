@@ -7,15 +7,18 @@ it, in both directions.
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from mobilestereonet.accelerate.norm import Limits
+Limits = tuple[float, float]
+"""An activation's least and largest value."""
+
+NO_LIMITS: Limits = (-math.inf, math.inf)
+"""No activation."""
 
 _ROWS, _CHANNELS = 128, 32
 """Rows and channels of a block."""
@@ -162,56 +165,46 @@ def channels_last(x: Tensor) -> Tensor:
     return x.contiguous(memory_format=layout)
 
 
-def norm_activation(
+def norm_activation(x: Tensor, scale: Tensor, shift: Tensor, limits: Limits) -> Tensor:
+    """``clamp(scale * x + shift, *limits)`` per channel of (B, C, ...), C a multiple of 8."""
+    return _mapped(channels_last(x), None, (scale, shift), limits)
+
+
+def batch_statistics(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (C,) and biased variance (C,) of (B, C, ...), in float32; C is a multiple of 8."""
+    x = channels_last(x)
+    count = x.numel() // x.shape[1]
+    # Squares of what is left of the first place's values keep their digits.
+    first = x.flatten(2)[0, :, 0].float()
+    offset, square = _sums(x, None, first, (), NO_LIMITS) / count
+    return first + offset, (square - offset * offset).clamp_min_(0)
+
+
+def norm_activation_backward(
+    grad: Tensor,
     x: Tensor,
     mean: Tensor,
-    variance: Tensor,
-    weight: Tensor,
-    bias: Tensor,
-    eps: float,
+    inverse: Tensor,
+    maps: tuple[Tensor, Tensor],
     limits: Limits,
-) -> Tensor:
-    """Norm by known statistics (C,) and activation of (B, C, ...), without a gradient."""
-    scale = weight * (variance + eps).rsqrt()
-    return _mapped(channels_last(x), None, (scale, bias - mean * scale), limits)
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gradients of a batch norm by the batch's own statistics, followed by an activation.
 
+    Args:
+        grad: Gradient of the result, (B, C, ...).
+        x: The norm's input.
+        mean: Its mean (C,).
+        inverse: Its inverse standard deviation (C,).
+        maps: Scale (C,) and shift (C,) of the norm.
+        limits: The activation.
 
-class TritonNormActivation(torch.autograd.Function):
-    """Norm by the batch's own statistics, and activation. Channels are multiples of 8.
-
-    Statistics are taken in float32; the result has the type of x.
+    Returns:
+        Gradients with respect to the input, the weight and the bias.
     """
-
-    @staticmethod
-    def forward(
-        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, eps: float, limits: Limits
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """(B, C, ...) -> the same shape, the mean (C,) and the biased variance (C,)."""
-        x = channels_last(x)
-        count = x.numel() // x.shape[1]
-        # Squares of what is left of the first place's values keep their digits.
-        first = x.flatten(2)[0, :, 0].float()
-        offset, square = _sums(x, None, first, (), limits) / count
-        variance = (square - offset * offset).clamp_min_(0)
-        mean = first + offset
-        inverse = (variance + eps).rsqrt()
-        scale = weight * inverse
-        shift = bias - mean * scale
-        ctx.limits = limits
-        ctx.save_for_backward(x, mean, inverse, scale, shift)
-        ctx.mark_non_differentiable(mean, variance)
-        return _mapped(x, None, (scale, shift), limits), mean, variance
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        """The gradients of x, weight and bias."""
-        x, mean, inverse, scale, shift = ctx.saved_tensors
-        grad = channels_last(grads[0])
-        count = x.numel() // x.shape[1]
-        total, product = _sums(x, grad, mean, (scale, shift), ctx.limits)
-        product = product * inverse
-        slope = -scale * inverse * product / count
-        level = -scale * total / count - slope * mean
-        grad_x = _mapped(x, grad, (scale, shift, slope, level), ctx.limits)
-        return grad_x, product, total, None, None
+    x, grad = channels_last(x), channels_last(grad)
+    count = x.numel() // x.shape[1]
+    total, product = _sums(x, grad, mean, maps, limits)
+    product = product * inverse
+    slope = -maps[0] * inverse * product / count
+    level = -maps[0] * total / count - slope * mean
+    return _mapped(x, grad, (*maps, slope, level), limits), product, total

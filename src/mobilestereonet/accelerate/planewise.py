@@ -9,8 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.nets.config import REDUCED_CHANNELS
-from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
 
 
 class PlanewiseLearnedVolume(nn.Module):
@@ -28,17 +27,14 @@ class PlanewiseLearnedVolume(nn.Module):
         # The groups of the first convolution mix both views: a block-diagonal kernel instead.
         kernel = torch.block_diag(*[first.weight.flatten(1)] * depth)
         kernel = kernel.unflatten(1, (2 * REDUCED_CHANNELS, 3, 3))
-        if volume.interlaced:
-            ours, theirs = kernel[:, 0::2], kernel[:, 1::2]
-        else:
-            ours, theirs = kernel.split(REDUCED_CHANNELS, dim=1)
+        left, right = per_view(kernel, volume.interlaced)
         assert first.bias is not None
         bias = first.bias.repeat(depth)
-        self.left = _conv2d(ours, bias, padding=(1, 1))
-        self.right = _conv2d(theirs, padding=(1, 1))
+        self.left = _conv2d(left, bias, padding=(1, 1))
+        self.right = _conv2d(right, padding=(1, 1))
         # Beyond a crop lie zeros: its outer columns see kernels without their outer columns.
-        self.left_first = _conv2d(ours[..., 1:], bias, padding=(1, 0))
-        self.right_last = _conv2d(theirs[..., :-1], padding=(1, 0))
+        self.left_first = _conv2d(left[..., 1:], bias, padding=(1, 0))
+        self.right_last = _conv2d(right[..., :-1], padding=(1, 0))
         self.second = _steps(second, depth // second.kernel_size[0])
         self.third = _steps(third, 1)
         self.squeeze = volume.squeeze
@@ -47,7 +43,7 @@ class PlanewiseLearnedVolume(nn.Module):
         """(B, 32, H, W) twice -> so many planes (B, 1, H, W)."""
         width = left.shape[-1]
         count = min(planes, width)
-        ours, theirs = self.left(left), self.right(right)
+        left_share, right_share = self.left(left), self.right(right)
         first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
         last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
         for i in range(count):
@@ -55,13 +51,21 @@ class PlanewiseLearnedVolume(nn.Module):
             if i == width - 1:
                 x = first_i + last_i
             else:
-                inner = ours[..., i + 1 : -1] + theirs[..., 1 : width - 1 - i]
-                columns = (first_i + theirs[..., :1], inner, ours[..., -1:] + last_i)
+                inner = left_share[..., i + 1 : -1] + right_share[..., 1 : width - 1 - i]
+                columns = (first_i + right_share[..., :1], inner, left_share[..., -1:] + last_i)
                 x = torch.cat(columns, dim=-1)
             x = self.squeeze(self.third(self.second(F.relu(x, inplace=True))))
             yield F.pad(x, (i, 0))
         for _ in range(count, planes):
             yield left.new_zeros(len(left), 1, *left.shape[-2:])
+
+
+def per_view(kernel: Tensor, interlaced: bool) -> tuple[Tensor, Tensor]:
+    """The left view's and the right view's half of a kernel (outputs, 64, 3, 3)."""
+    if interlaced:
+        return kernel[:, 0::2], kernel[:, 1::2]
+    left, right = kernel.split(REDUCED_CHANNELS, dim=1)
+    return left, right
 
 
 def _conv2d(
@@ -113,8 +117,8 @@ class PlanewiseCorrelation(nn.Module):
         return view.transpose(3, 4).contiguous()
 
 
-class Collected(nn.Module):
-    """All planes of a planewise cost volume; in memory they are ordered as the encoder likes it.
+class StackedPlanes(nn.Module):
+    """The volume of a planewise cost volume, in the memory order of the encoder.
 
     With ``columns_first`` that is by columns, disparities, rows and channels, else by disparities,
     rows, columns and channels.

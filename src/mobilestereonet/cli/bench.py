@@ -35,12 +35,12 @@ def bench(
     from mobilestereonet.export import real_pair
     from mobilestereonet.export.metadata import check_size
     from mobilestereonet.inference.matcher import pretrained_net
-    from mobilestereonet.nets.normalise import normalise
+    from mobilestereonet.nets.model import IMAGENET
 
     name, net = pretrained_net(model, weights)
     device = check_device("auto", device)
     check_size(net, size)
-    left, right = map(normalise, real_pair(size))
+    left, right = map(IMAGENET, real_pair(size))
     engines = installed_engines(device)
     times = compare_engines(
         net,

@@ -29,9 +29,9 @@ import torch
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig, StereoNet
-from mobilestereonet.nets.config import REDUCED_CHANNELS
-from mobilestereonet.nets.cost_volumes import LearnedVolume
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, LearnedVolume
+from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet_config import NetConfig
 
 
 @dataclass(frozen=True)

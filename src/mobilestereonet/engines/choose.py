@@ -18,7 +18,7 @@ from mobilestereonet.engines.onnxruntime import ONNXRuntime
 from mobilestereonet.engines.openvino import OpenVINORuntime
 from mobilestereonet.engines.torch import TorchRuntime, has_bfloat16
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig, StereoNet
+from mobilestereonet.nets import StereoModel
 
 AUTO = "auto"
 
@@ -33,7 +33,7 @@ RUNTIMES = (AUTO, TorchRuntime.name, *CONVERTED)
 
 def open_runtime(
     name: str,
-    net: StereoNet,
+    net: StereoModel,
     *,
     precision: str = AUTO,
     threads: int | None = None,
@@ -64,9 +64,7 @@ def open_runtime(
     return CONVERTED[name](net, precision=precision, threads=threads, cache=cache)
 
 
-def choose_engine(
-    name: str, config: NetConfig, precision: str, device: str
-) -> tuple[str, str, str]:
+def choose_engine(name: str, config: Any, precision: str, device: str) -> tuple[str, str, str]:
     """What "auto" means here for the engine's name, the precision and the device.
 
     Raises:
@@ -89,7 +87,7 @@ def choose_engine(
 _FASTEST = "fastest.json"
 
 
-def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> Path | None:
+def remember_fastest(config: Any, engines: Mapping[str, str]) -> Path | None:
     """Let "auto" take these engines for a network on this machine's CPU from now on.
 
     They are kept in the user's cache folder; where that cannot be written to, nothing changes.
@@ -109,7 +107,7 @@ def remember_fastest(config: NetConfig, engines: Mapping[str, str]) -> Path | No
     return None
 
 
-def _fastest(config: NetConfig, precision: str) -> str:
+def _fastest(config: Any, precision: str) -> str:
     # What another version wrote there may be anything.
     with suppress(TypeError, KeyError):
         name = _remembered()[str(config)][precision]

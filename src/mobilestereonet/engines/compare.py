@@ -14,7 +14,7 @@ from torch import Tensor
 from mobilestereonet.engines.choose import CONVERTED, open_runtime
 from mobilestereonet.engines.scores import use_threads
 from mobilestereonet.engines.torch import has_bfloat16
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel
 
 _EAGER = "eager"
 _WRONG = 0.5
@@ -52,7 +52,7 @@ def installed_engines(device: str) -> list[tuple[str, str]]:
 
 
 def compare_engines(
-    net: StereoNet,
+    net: StereoModel,
     left: Tensor,
     right: Tensor,
     engines: Sequence[tuple[str, str]],
@@ -113,13 +113,13 @@ def times_in_turns(*functions: Callable[[], object], repeats: int) -> list[float
 
 
 def _eager(
-    net: StereoNet, left: Tensor, right: Tensor, threads: int | None
+    net: StereoModel, left: Tensor, right: Tensor, threads: int | None
 ) -> Callable[[], Tensor]:
     net = copy.deepcopy(net).to(left.device)
 
     def run() -> Tensor:
         with torch.inference_mode(), use_threads(threads):
-            disparity: Tensor = net(left, right)
+            disparity: Tensor = net(left, right).disparity
         return disparity.cpu()
 
     return run

@@ -12,7 +12,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import platformdirs
 import torch
@@ -20,23 +20,22 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mobilestereonet import accelerate, engines, nets
-from mobilestereonet.accelerate.graph import narrowest
-from mobilestereonet.accelerate.optimise import optimise
+from mobilestereonet.accelerate.inference import inference_form
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel, VolumeModel
 
 Scores = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 """Left and right view (1, 3, H, W) -> scores (1, D, H / 4, W / 4)."""
 
 
 class ConvertedRuntime(ScoresRuntime):
-    """Runs a network as a converted `Graph`, on the CPU, at any size.
+    """Runs a network as a converted `ExportableNet`, on the CPU, at any size.
 
     The engine computes the scores, and PyTorch the soft-argmax, which it does some rows at a
     time: faster than the engines, and without tensors at full resolution. Views narrower than
-    `Graph` takes, hardly wider than the disparity range, go through PyTorch altogether.
+    `ExportableNet` takes, hardly wider than the disparity range, go through PyTorch altogether.
 
     Attributes:
         name: What the command line calls the engine, and its package.
@@ -52,7 +51,7 @@ class ConvertedRuntime(ScoresRuntime):
 
     def __init__(
         self,
-        net: StereoNet,
+        net: StereoModel,
         *,
         precision: str = "fp32",
         threads: int | None = None,
@@ -79,7 +78,7 @@ class ConvertedRuntime(ScoresRuntime):
             raise InputError(
                 f"{self.name} computes in {' or '.join(self.precisions)}, not in {precision!r}"
             )
-        super().__init__(net, precision, threads)
+        super().__init__(cast(VolumeModel, net), precision, threads)
         self._net = copy.deepcopy(net).cpu().float().eval()
         self._run = self._open(user_cache() if cache is None else Path(cache))
 
@@ -92,14 +91,14 @@ class ConvertedRuntime(ScoresRuntime):
         """Scores of one pair after the other."""
         self._net.check_views(left, right)
         for pair in zip(*(view.float().cpu().split(1) for view in (left, right)), strict=True):
-            if left.shape[-1] < narrowest(self._net.config):
-                yield self._narrow_net.scores(*pair)[-1]
+            if left.shape[-1] < self._net.max_disparity + self._net.size_multiple:
+                yield cast(VolumeModel, self._narrow_net).scores(*pair)
             else:
                 yield torch.from_numpy(self._run(*(view.numpy() for view in pair)))
 
     @cached_property
-    def _narrow_net(self) -> StereoNet:
-        return optimise(self._net)
+    def _narrow_net(self) -> StereoModel:
+        return inference_form(self._net)
 
     def _open(self, cache: Path) -> Scores:
         path = cache / f"{self.name}-{self._key()}"
@@ -134,7 +133,7 @@ class ConvertedRuntime(ScoresRuntime):
         return None
 
     @abstractmethod
-    def _convert(self, net: StereoNet) -> bytes:
+    def _convert(self, net: StereoModel) -> bytes:
         """The network in the engine's form."""
 
     @abstractmethod

@@ -8,20 +8,20 @@ from typing import Any, cast
 import torch
 from numpy.typing import NDArray
 
-from mobilestereonet.accelerate.graph import Graph, example_pair
+from mobilestereonet.accelerate.export import example_pair, exportable_form
 from mobilestereonet.engines.converted import ConvertedRuntime, Scores
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel
 
 _OPSET = 20
 
 
-def to_onnx(net: StereoNet, *, rgb: bool = False, head: bool = True) -> Any:
+def to_onnx(net: StereoModel, *, rgb: bool = False, head: bool = True) -> Any:
     """Convert a network to ONNX in memory.
 
     Args:
         net: The network, with any weights.
-        rgb: See `Graph`.
-        head: See `Graph`.
+        rgb: See `ExportableNet`.
+        head: See `ExportableNet`.
 
     Returns:
         An ``onnx.ModelProto`` of any height and width, with inputs ``left`` and ``right`` and the
@@ -30,7 +30,7 @@ def to_onnx(net: StereoNet, *, rgb: bool = False, head: bool = True) -> Any:
     # It says that torchvision, whose operators the networks do without, is not installed.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     program = torch.onnx.export(
-        Graph(net, rgb=rgb, head=head, sliced=False).eval(),
+        exportable_form(net, rgb=rgb, scores=not head),
         example_pair(net),
         dynamo=True,
         verbose=False,
@@ -56,7 +56,7 @@ class ONNXRuntime(ConvertedRuntime):
     packages = ("onnxruntime", "onnx", "onnxscript")
     precisions = ("fp32",)
 
-    def _convert(self, net: StereoNet) -> bytes:
+    def _convert(self, net: StereoModel) -> bytes:
         model: bytes = to_onnx(net, head=False).SerializeToString()
         return model
 

@@ -6,20 +6,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from mobilestereonet.accelerate.graph import Graph, example_pair
+from mobilestereonet.accelerate.export import example_pair, exportable_form
 from mobilestereonet.engines.converted import ConvertedRuntime, Scores
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel
 
 _SIZE = [1, 3, -1, -1]
 
 
-def to_openvino(net: StereoNet, *, rgb: bool = False, head: bool = True) -> Any:
+def to_openvino(net: StereoModel, *, rgb: bool = False, head: bool = True) -> Any:
     """Convert a network to OpenVINO's form in memory.
 
     Args:
         net: The network, with any weights.
-        rgb: See `Graph`.
-        head: See `Graph`.
+        rgb: See `ExportableNet`.
+        head: See `ExportableNet`.
 
     Returns:
         An ``openvino.Model`` of any height and width, with inputs ``left`` and ``right`` and the
@@ -28,7 +28,7 @@ def to_openvino(net: StereoNet, *, rgb: bool = False, head: bool = True) -> Any:
     import openvino
 
     model = openvino.convert_model(
-        Graph(net, rgb=rgb, head=head, sliced=False).eval(),
+        exportable_form(net, rgb=rgb, scores=not head),
         example_input=example_pair(net),
         input=[("left", _SIZE), ("right", _SIZE)],
     )
@@ -61,7 +61,7 @@ class OpenVINORuntime(ConvertedRuntime):
             options["INFERENCE_NUM_THREADS"] = self.threads
         return options
 
-    def _convert(self, net: StereoNet) -> bytes:
+    def _convert(self, net: StereoModel) -> bytes:
         import openvino
 
         compiled = openvino.compile_model(to_openvino(net, head=False), "CPU", self._options())

@@ -9,10 +9,9 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
+from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
-from mobilestereonet.nets.confidence import match_confidence
-from mobilestereonet.nets.disparity import regress_disparity
+from mobilestereonet.nets import VolumeModel
 
 
 class ScoresRuntime(ABC):
@@ -29,14 +28,14 @@ class ScoresRuntime(ABC):
 
     normalised = True
 
-    def __init__(self, net: StereoNet, precision: str, threads: int | None) -> None:
+    def __init__(self, net: VolumeModel, precision: str, threads: int | None) -> None:
         if threads is not None and threads < 1:
             raise InputError(f"threads must be at least 1, got {threads}")
         self.precision = precision
         self.threads = threads
-        self.max_disparity = net.config.max_disparity
-        self.multiple = net.config.size_multiple
-        self._estimator = net.config.estimator
+        self.max_disparity = net.max_disparity
+        self.multiple = net.size_multiple
+        self._regression = ClosedFormSoftArgmax(net.regression)
 
     def __call__(self, left: Tensor, right: Tensor) -> Tensor:
         """Match the views.
@@ -52,7 +51,7 @@ class ScoresRuntime(ABC):
             InputError: If the shapes do not fit.
         """
         with torch.inference_mode(), use_threads(self.threads):
-            maps = [regress_disparity(part, self._estimator) for part in self._scores(left, right)]
+            maps = [self._regression(part) for part in self._scores(left, right)]
             return torch.cat(maps).to(left.device)
 
     def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
@@ -71,16 +70,14 @@ class ScoresRuntime(ABC):
         """
         with torch.inference_mode(), use_threads(self.threads):
             maps = [
-                torch.stack(
-                    [of(part, self._estimator) for of in (regress_disparity, match_confidence)]
-                )
+                torch.stack([self._regression(part), self._regression.confidence(part)])
                 for part in self._scores(left, right)
             ]
             disparity, confidence = torch.cat(maps, dim=1).to(left.device)
             return disparity, confidence
 
     def scores(self, left: Tensor, right: Tensor) -> Tensor:
-        """The network's scores, see `StereoNet.aggregate`.
+        """The network's scores, see `VolumeModel.scores`.
 
         Args:
             left: Left views, (B, 3, H, W), normalised, H and W multiples of 16.

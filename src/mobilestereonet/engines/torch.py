@@ -6,15 +6,15 @@ import copy
 import ctypes
 import sys
 from collections.abc import Iterator
+from typing import cast
 
 import torch
 from torch import Tensor
-from torch.nn.utils import convert_conv2d_weight_memory_format
 
-from mobilestereonet.accelerate.optimise import fold_norms, optimise
+from mobilestereonet.accelerate.inference import inference_form
 from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel, VolumeModel
 
 _PRECISIONS = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
@@ -23,7 +23,7 @@ class TorchRuntime(ScoresRuntime):
     """Runs a network in eval mode, channels last, without gradients.
 
     The network is copied, so the caller's keeps its mode, device and memory format. On a CPU the
-    copy is accelerated by `optimise`. On a GPU only its batch norms are folded: PyTorch's own
+    copy is accelerated by `inference_form`. On a GPU only its batch norms are folded: PyTorch's own
     layers run it.
     """
 
@@ -31,7 +31,7 @@ class TorchRuntime(ScoresRuntime):
 
     def __init__(
         self,
-        net: StereoNet,
+        net: StereoModel,
         *,
         device: torch.device | str = "cpu",
         precision: str = "fp32",
@@ -57,17 +57,12 @@ class TorchRuntime(ScoresRuntime):
                 f"precision must be one of {', '.join(choices)} on {self.device.type}, "
                 f"got {precision!r}"
             )
-        super().__init__(net, precision, threads)
+        super().__init__(cast(VolumeModel, net), precision, threads)
         self.dtype = _PRECISIONS[precision]
         if on_cpu:
             _keep_freed_memory()
-            self.net = optimise(net)
-        else:
-            self.net = copy.deepcopy(net).eval().requires_grad_(False)
-            fold_norms(self.net)
-            # With 3D convolutions in channels last, msnet3d was slower than its plain formulation.
-            convert_conv2d_weight_memory_format(self.net, torch.channels_last)
-        self.net.to(self.device, self.dtype)
+        self.net = inference_form(copy.deepcopy(net).to(self.device))
+        self.net.to(self.dtype)
 
     def _scores(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
         """The scores of all pairs at once."""
@@ -75,7 +70,7 @@ class TorchRuntime(ScoresRuntime):
             view.to(self.device, self.dtype, memory_format=torch.channels_last)
             for view in (left, right)
         ]
-        yield self.net.scores(*views)[-1]
+        yield cast(VolumeModel, self.net).scores(*views)
 
 
 def has_bfloat16() -> bool:

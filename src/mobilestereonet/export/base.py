@@ -12,7 +12,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel
 
 Pair = tuple[Tensor, Tensor]
 """Left and right view, (1, 3, H, W) float32, RGB in 0..1."""
@@ -36,7 +36,7 @@ class Job:
         calibration: Pairs that show a quantiser what values to expect; only with "int8".
     """
 
-    net: StereoNet
+    net: StereoModel
     size: tuple[int, int]
     precision: str
     metadata: Mapping[str, str]

@@ -24,8 +24,8 @@ from mobilestereonet.export.onnx import ONNX
 from mobilestereonet.export.openvino import OpenVINO
 from mobilestereonet.export.pairs import calibration_pairs, real_pair
 from mobilestereonet.export.pt2 import PT2
-from mobilestereonet.nets import StereoNet
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets import StereoModel
+from mobilestereonet.nets.model import IMAGENET
 
 FORMATS: dict[str, Format] = {
     format_.name: format_
@@ -66,7 +66,7 @@ class Export:
 
 def export_model(
     format_: str,
-    net: StereoNet,
+    net: StereoModel,
     output: str | Path,
     *,
     model: str,
@@ -184,13 +184,13 @@ def _temporary(output: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _reference(net: StereoNet, pair: Pair) -> Tensor:
+def _reference(net: StereoModel, pair: Pair) -> Tensor:
     with torch.inference_mode():
-        disparity: Tensor = net(*map(normalise, pair))
+        disparity: Tensor = net(*map(IMAGENET, pair)).disparity
         return disparity
 
 
-def _compare(run: Run, net: StereoNet, pair: Pair, name: str, tolerance: float) -> Tensor:
+def _compare(run: Run, net: StereoModel, pair: Pair, name: str, tolerance: float) -> Tensor:
     expected, found = _reference(net, pair), run(*pair)
     if found.shape != expected.shape:
         raise InputError(

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.graph import Graph
+from mobilestereonet.accelerate.export import exportable_form
 from mobilestereonet.export.base import Format, Job, Run
 
 _METADATA = "mobilestereonet"
@@ -30,7 +30,7 @@ class LiteRT(Format):
         """Convert; the metadata go into the file's own, as JSON under ``mobilestereonet``."""
         import litert_torch
 
-        graph = Graph(job.net, rgb=True).eval()
+        graph = exportable_form(job.net, rgb=True, conv3d_as_2d=True)
         _crop_transposed(graph)
         left, right = torch.zeros(2, 1, 3, *job.size)
         litert_torch.convert(graph, sample_kwargs={"left": left, "right": right}).export(str(path))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mobilestereonet
-from mobilestereonet.accelerate.graph import narrowest
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig, StereoNet
-from mobilestereonet.nets.normalise import IMAGENET_MEAN, IMAGENET_STD
+from mobilestereonet.nets import StereoModel
+from mobilestereonet.nets.model import IMAGENET
 from mobilestereonet.weights import card, embedded_models
 
 
 def describe(
-    config: NetConfig, model: str, *, embedded: bool, precision: str, size: tuple[int, int] | None
+    config: Any, model: str, *, embedded: bool, precision: str, size: tuple[int, int] | None
 ) -> dict[str, str]:
     """Everything that is needed to use a file without this package.
 
@@ -35,24 +36,24 @@ def describe(
         "colour_order": "RGB",
         "value_range": "0..1",
         "normalisation": "inside the graph: (value - mean) / std per channel",
-        "mean": _numbers(IMAGENET_MEAN),
-        "std": _numbers(IMAGENET_STD),
+        "mean": _numbers(IMAGENET.mean),
+        "std": _numbers(IMAGENET.std),
         "size": "any" if size is None else "{} x {} (height x width)".format(*size),
         "size_multiple": str(config.size_multiple),
-        "smallest_width": str(narrowest(config)),
+        "smallest_width": str(config.max_disparity + config.size_multiple),
         "padding": "above and on the right with the border's pixels; crop the disparity likewise",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
         "disparity_range": f"0..{config.max_disparity - 1}",
     }
 
 
-def check_size(net: StereoNet, size: tuple[int, int]) -> None:
+def check_size(net: StereoModel, size: tuple[int, int]) -> None:
     """Check the height and width of an export.
 
     Raises:
         InputError: If they are no positive multiples of the network's, or the width is too small.
     """
-    smallest, multiple = narrowest(net.config), net.config.size_multiple
+    smallest, multiple = net.max_disparity + net.size_multiple, net.size_multiple
     for name, value, least in zip(("height", "width"), size, (multiple, smallest), strict=True):
         if value < multiple or value % multiple:
             below = max(value // multiple * multiple, least)

@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from mobilestereonet.accelerate.graph import Graph
+from mobilestereonet.accelerate.export import exportable_form
 from mobilestereonet.export.base import Format, Job, Run
 
 _METADATA = "metadata.json"
@@ -49,4 +49,4 @@ class PT2(Format):
 def exported(job: Job) -> torch.export.ExportedProgram:
     """The network with the normalisation inside, as torch.export's graph of a fixed size."""
     left, right = torch.zeros(2, 1, 3, *job.size)  # two tensors: one would be taken as one input
-    return torch.export.export(Graph(job.net, rgb=True).eval(), (left, right))
+    return torch.export.export(exportable_form(job.net, rgb=True, conv3d_as_2d=True), (left, right))

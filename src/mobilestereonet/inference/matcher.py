@@ -24,8 +24,8 @@ from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
-from mobilestereonet.nets import StereoNet, is_model, model_name
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets import StereoModel, is_model, model_name
+from mobilestereonet.nets.model import IMAGENET
 from mobilestereonet.plots import to_picture
 from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
 
@@ -41,7 +41,7 @@ class StereoMatcher:
 
     def __init__(
         self,
-        engine: StereoNet | Runtime,
+        engine: StereoModel | Runtime,
         *,
         model: str | None = None,
         padding: tuple[int, int] | None = None,
@@ -73,7 +73,7 @@ class StereoMatcher:
         """
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
-        if isinstance(engine, StereoNet):
+        if isinstance(engine, StereoModel):
             model = model or model_name(engine.config)
             engine = TorchRuntime(engine)
         if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
@@ -282,7 +282,7 @@ class StereoMatcher:
     def _match_whole(self, left: Tensor, right: Tensor, *, confidence: bool) -> Tensor:
         height, width = left.shape[-2:]
         padded = self._padded_size(height, width)
-        views = [normalise(view) if self.runtime.normalised else view for view in (left, right)]
+        views = [IMAGENET(view) if self.runtime.normalised else view for view in (left, right)]
         views = [pad(view, *padded, zeros=self.padding is not None) for view in views]
         if confidence:
             maps = torch.stack(cast(ConfidentRuntime, self.runtime).with_confidence(*views))
@@ -325,7 +325,7 @@ def _result(
     )
 
 
-def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, StereoNet]:
+def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, StereoModel]:
     """A network with trained weights, and what it is called.
 
     Args:

@@ -1,15 +1,41 @@
-"""The networks: configs, blocks, cost volumes, hourglasses and their assembly."""
+"""The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets.config import NetConfig
-from mobilestereonet.nets.stereo_net import StereoNet
-from mobilestereonet.nets.zoo import create_model, is_model, list_models, model_config, model_name
+from mobilestereonet.nets import msnet  # registers its names
+from mobilestereonet.nets.model import (
+    IMAGENET,
+    Prediction,
+    Preprocessing,
+    StereoModel,
+    VolumeModel,
+    VolumeOutputs,
+    trained_pixels,
+)
+from mobilestereonet.nets.registry import (
+    ModelInfo,
+    build_model,
+    is_model,
+    list_models,
+    model_config,
+    model_info,
+    model_name,
+    register_model,
+)
 
 __all__ = [
-    "NetConfig",
-    "StereoNet",
-    "create_model",
+    "IMAGENET",
+    "ModelInfo",
+    "Prediction",
+    "Preprocessing",
+    "StereoModel",
+    "VolumeModel",
+    "VolumeOutputs",
+    "build_model",
     "is_model",
     "list_models",
     "model_config",
+    "model_info",
     "model_name",
+    "msnet",
+    "register_model",
+    "trained_pixels",
 ]

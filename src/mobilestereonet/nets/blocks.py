@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Literal, cast
 
 from torch import Tensor, nn
 
-from mobilestereonet.nets.config import Block
+Block = Literal["conv", "v1", "v2"]
+"""Standard convolution, MobileNet-V1 block, MobileNet-V2 block."""
 
 CONV: dict[int, type[nn.Conv2d] | type[nn.Conv3d]] = {2: nn.Conv2d, 3: nn.Conv3d}
 _TRANSPOSED: dict[int, type[nn.ConvTranspose2d] | type[nn.ConvTranspose3d]] = {

@@ -8,8 +8,9 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from mobilestereonet.nets.blocks import V2Block, conv_norm, v1_block
-from mobilestereonet.nets.config import FEATURE_CHANNELS, REDUCED_CHANNELS, Block, NetConfig
+from mobilestereonet.nets.blocks import Block, V2Block, conv_norm, v1_block
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS
+from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
 
 
 def _first_convolutions(config: NetConfig) -> nn.Sequential:

@@ -14,7 +14,7 @@ from mobilestereonet.nets.blocks import (
     hourglass_block,
     transposed_norm,
 )
-from mobilestereonet.nets.config import NetConfig
+from mobilestereonet.nets.msnet_config import NetConfig
 
 
 class PreHourglass(nn.Module):

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.config import Block
+from mobilestereonet.nets.blocks import Block
 
 EXPANSIONS = range(1, 9)
 """Expansion factors t of the paper's figure."""

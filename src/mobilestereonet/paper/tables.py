@@ -16,7 +16,7 @@ from typing import Any, Literal
 import torch
 
 from mobilestereonet.costs.count import Cost, count_costs
-from mobilestereonet.nets import create_model, model_config
+from mobilestereonet.nets import build_model, model_config
 
 What = Literal["macs", "params"]
 
@@ -212,7 +212,7 @@ def checkpoint_megabytes(model: str) -> float:
     what PyTorch 2.13 writes.
     """
     file = io.BytesIO()
-    torch.save({"model": create_model(model).state_dict(prefix="module.")}, file)
+    torch.save({"model": build_model(model).state_dict(prefix="module.")}, file)
     return len(file.getvalue()) / 1e6
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
 from statistics import median
 from typing import Any, cast
 
@@ -15,20 +14,14 @@ import torch.distributed as dist
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
-from torch.nn.utils import (
-    convert_conv2d_weight_memory_format,
-    convert_conv3d_weight_memory_format,
-)
 
-from mobilestereonet.accelerate.depthwise import has_triton, speed_up_depthwise
-from mobilestereonet.accelerate.norm import fuse_activations
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
-from mobilestereonet.nets import create_model
-from mobilestereonet.nets.disparity import regress_disparity
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets import build_model
+from mobilestereonet.nets.model import IMAGENET
 from mobilestereonet.plots import colour_disparity, error_map, to_picture
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.losses import (
@@ -40,9 +33,6 @@ from mobilestereonet.training.losses import (
 from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
-
-_UNGUIDED = 4
-"""Of so many steps one is without guidance, as the coarse pass itself is."""
 
 _OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
@@ -64,7 +54,7 @@ class StereoModule(L.LightningModule):
     def __init__(self, recipe: Recipe, steps: int, global_batch: int) -> None:
         super().__init__()
         torch.manual_seed(recipe.seed)
-        self.net = create_model(
+        self.net = build_model(
             recipe.model,
             max_disparity=recipe.max_disparity,
             estimator=recipe.estimator,
@@ -72,10 +62,6 @@ class StereoModule(L.LightningModule):
         )
         if recipe.zero_residuals:
             self.net.zero_residuals()
-        # Several times faster on a CPU.
-        convert_conv2d_weight_memory_format(self.net, torch.channels_last)
-        convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
-        speed_up_depthwise(self.net)
         self.teacher = (
             Teacher(recipe.teacher, self.net.config) if recipe.teacher is not None else None
         )
@@ -86,7 +72,7 @@ class StereoModule(L.LightningModule):
         self.skipped: Tensor
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
         self._saved_buffers: list[Tensor] = []
-        self._undo_fusion: Callable[[], None] = lambda: None
+        self._fast: list[Any] = []  # no submodule: it shares the parameters of the network
         self._step_ended = 0.0
         self._seconds: deque[float] = deque(maxlen=20)
 
@@ -95,8 +81,8 @@ class StereoModule(L.LightningModule):
         height, width = left.shape[-2:]
         multiple = self.net.config.size_multiple
         size = [math.ceil(side / multiple) * multiple for side in (height, width)]
-        views = [pad(normalise(view), *size) for view in (left, right)]
-        return unpad(cast(Tensor, self.net(*views)), height, width)
+        views = [pad(IMAGENET(view), *size) for view in (left, right)]
+        return unpad(cast(Tensor, self.net(*views).disparity), height, width)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Note the precision, which the recipe does not hold."""
@@ -114,15 +100,12 @@ class StereoModule(L.LightningModule):
             )
 
     def on_fit_start(self) -> None:
-        """On one NVIDIA GPU, let batch norms take their activations along."""
-        # Not before: several GPUs have their norms synchronised instead.
-        alone = self.trainer.world_size == 1
-        if alone and self.device.type == "cuda" and has_triton() and self.dtype == torch.float32:
-            self._undo_fusion = fuse_activations(self.net)
+        """Take the fast form of the network, now that it is where it is trained."""
+        self._fast = [accelerate(self.net, "training")]
 
     def on_fit_end(self) -> None:
-        """Leave an ordinary network."""
-        self._undo_fusion()
+        """Leave the plain network alone."""
+        self._fast = []
 
     def on_train_start(self) -> None:
         """Start the clock."""
@@ -137,14 +120,13 @@ class StereoModule(L.LightningModule):
                 f"{pairs.name} has no ground truth: choose another split to train on, or set a "
                 "teacher"
             )
-        views = normalise(pairs.left), normalise(pairs.right)
-        guidance = self.net.guidance(*views)
-        if guidance is not None and self.global_step % _UNGUIDED == 0:
-            guidance = torch.zeros_like(guidance)
-        volume = self.net.cost_volume(*views)
-        scores = self.net.aggregate(volume, guidance)
+        views = IMAGENET(pairs.left), IMAGENET(pairs.right)
+        net = self._fast[0]
+        net.set_step(self.global_step)
+        outputs = net(*views)
+        volume, scores = outputs.volume, outputs.scores
         with torch.autocast(self.device.type, enabled=False):
-            predictions = [regress_disparity(s) for s in scores[-self.recipe.full_heads :]]
+            predictions = outputs.last(self.recipe.full_heads).disparities
             sums = [self._truth_loss(pairs, volume, scores, predictions)]
             if self.teacher is not None:
                 assert batch.clean is not None

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -27,6 +27,7 @@ from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError
 from mobilestereonet.interruption import ctrl_c_sets
 from mobilestereonet.nets import is_model, model_name
+from mobilestereonet.nets.msnet import StereoNet
 from mobilestereonet.scenes import ProceduralScenes
 from mobilestereonet.scenes.textures import find_photographs
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
@@ -305,7 +306,7 @@ def train(
         # Lightning does it as well, but not where a resumed run had no step left.
         average.on_train_end(trainer, module)
     if trainer.is_global_zero:
-        save_weights(module.net, folder / "weights.safetensors")
+        save_weights(cast(StereoNet, module.net), folder / "weights.safetensors")
     done = trainer.global_step
     rank_zero_info(
         f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
@@ -324,7 +325,7 @@ def _load_initial(module: StereoModule, weights: str) -> None:
     net, model = open_weights(weights), module.recipe.model
     state = net.state_dict()
     if module.recipe.coarse_pass and not net.config.coarse_pass:
-        state["guide.weight"] = module.net.guide.weight.detach()
+        state["guide.weight"] = cast(StereoNet, module.net).guide.weight.detach()
     try:
         module.net.load_state_dict(state)
     except RuntimeError:  # keys or shapes

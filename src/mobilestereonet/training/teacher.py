@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig
-from mobilestereonet.nets.confidence import match_confidence
-from mobilestereonet.nets.disparity import regress_disparity
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets.model import IMAGENET, VolumeModel
 from mobilestereonet.weights import open_weights
 
 
@@ -31,7 +29,7 @@ class Teacher:
             disparities than the student.
     """
 
-    def __init__(self, weights: str, student: NetConfig) -> None:
+    def __init__(self, weights: str, student: Any) -> None:
         try:
             self.net = open_weights(weights)
         except FileNotFoundError as error:
@@ -61,9 +59,9 @@ class Teacher:
         if self._runtime is None:
             runtime = open_runtime("torch", self.net, device=str(pairs.left.device))
             self._runtime = cast(ScoresRuntime, runtime)
-        scores = self._runtime.scores(normalise(pairs.left), normalise(pairs.right))
+        scores = self._runtime.scores(IMAGENET(pairs.left), IMAGENET(pairs.right))
         # Tensors of the inference mode must not be part of a gradient.
         scores = scores.clone()
-        estimator = self.net.config.estimator
+        regression = ClosedFormSoftArgmax(cast(VolumeModel, self.net).regression)
         with torch.no_grad():
-            return scores, regress_disparity(scores, estimator), match_confidence(scores, estimator)
+            return scores, regression(scores), regression.confidence(scores)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig, StereoNet, create_model
+from mobilestereonet.nets import build_model
+from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet_config import NetConfig
 
 _PREFIXES = (
     (r"features\.first\.(\d)\.0\.", "feature_extraction.firstconv.{0}."),
@@ -83,7 +85,7 @@ def load_authors_checkpoint(path: str | Path) -> StereoNet:
     path = Path(path)
     state = _read_state(path)
     name = "msnet2d" if any(key.startswith("preconv11.") for key in state) else "msnet3d-authors"
-    net = create_model(name).eval()
+    net = cast(StereoNet, build_model(name)).eval()
     expected = {authors_key(key, net.config): key for key in net.state_dict()}
     missing, unknown = expected.keys() - state.keys(), state.keys() - expected.keys()
     if missing or unknown:

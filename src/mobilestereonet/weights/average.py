@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets.msnet import StereoNet
 from mobilestereonet.weights.files import open_weights
 
 

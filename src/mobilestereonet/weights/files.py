@@ -14,7 +14,9 @@ from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import NetConfig, StereoNet, model_config
+from mobilestereonet.nets import model_config
+from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet_config import NetConfig
 from mobilestereonet.weights.authors import load_authors_checkpoint
 
 _EMBEDDED = Path(__file__).parent

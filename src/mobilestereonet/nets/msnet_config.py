@@ -1,30 +1,17 @@
-"""A network as data."""
+"""`NetConfig`: a network of the MobileStereoNet family as data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.disparity import Estimator
-
-Block = Literal["conv", "v1", "v2"]
-CostVolume = Literal[
-    "interlaced-1",
-    "interlaced-2",
-    "interlaced-4",
-    "interlaced-8",
-    "interlaced-16",
-    "correlation",
-    "concatenation",
-    "groupwise",
-]
+from mobilestereonet.nets.blocks import Block
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, CostVolume
+from mobilestereonet.nets.soft_argmax import Estimator
 
 FEATURE_CHANNELS = 320
 """Channels of the feature extraction: stages 2, 3 and 4 concatenated (64 + 128 + 128)."""
-
-REDUCED_CHANNELS = 32
-"""Channels per view after the channel reduction of the 2D networks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +42,7 @@ class NetConfig:
         v2_relu: A ReLU after each v2 block of the first convolutions and of the pre-hourglass
             (but its last), as in the authors' 2D network.
         estimator: How a disparity comes from its distribution: "mean" as in the paper, "mode" for
-            sharp edges (see `nets.disparity`). In training every head takes the mean.
+            sharp edges (see `nets.soft_argmax`). In training every head takes the mean.
         coarse_pass: A first pass at half of the size guides the second (see `nets.coarse_pass`):
             for large surfaces without texture. Not in the paper; 3D alone.
     """
@@ -79,6 +66,9 @@ class NetConfig:
     v2_relu: bool = True
     estimator: Estimator = "mean"
     coarse_pass: bool = False
+
+    unnamed: ClassVar[tuple[str, ...]] = ("max_disparity", "estimator", "coarse_pass")
+    """Fields that may differ from those of a registered name, see `model_name`."""
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[object, ...]] = {

@@ -7,31 +7,33 @@ import torch
 from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from mobilestereonet import InputError, create_model, list_models, load_authors_checkpoint
-from mobilestereonet.accelerate.optimise import (
+from mobilestereonet.accelerate import accelerate, fused
+from mobilestereonet.accelerate.export import guidance_in_four_dimensions
+from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
+from mobilestereonet.accelerate.inference import (
+    closed_form,
     columns_first,
     drop_training_heads,
-    fold_norms,
-    fuse_convolutions,
     images_one_by_one,
-    optimise,
-    slice_blocks,
     volume_by_planes,
-    weights_channels_last,
 )
-from mobilestereonet.engines import fused
+from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
+from mobilestereonet.nets.coarse_pass import guidance_from_scores
+from mobilestereonet.weights import load_authors_checkpoint
 
 TESTS = Path(__file__).parents[1]
 STEPS = (
     fold_norms,
+    closed_form,
     images_one_by_one,
     drop_training_heads,
     volume_by_planes,
     columns_first,
-    slice_blocks,
+    process_by_rows,
     fuse_convolutions,
-    weights_channels_last,
 )
 NAMES = ["msnet2d", "msnet3d", "msnet3d-authors", "baseline2d", "baseline3d"]
 NAMES += [name for name in list_models() if name.startswith("table2-")]
@@ -41,7 +43,7 @@ NAMES += ["table3a-v1-v1", "table3a-v2-v2", "table3b-v1-v1", "table3b-v2-v2"]
 def network(name, **fields):
     """In eval mode, with weights and statistics that leave the soft-argmax soft."""
     torch.manual_seed(0)
-    net = create_model(name, max_disparity=32, **fields).eval()
+    net = build_model(name, max_disparity=32, **fields).eval()
     for key, value in net.state_dict().items():
         if key.endswith("running_mean"):
             value.normal_(std=0.1)
@@ -51,27 +53,29 @@ def network(name, **fields):
             value.normal_()
     left, right = torch.randn(2, 2, 3, 32, 64)
     with torch.no_grad():
-        scores = net.scores(left, right)[-1]
+        scores = net.scores(left, right)
         net.heads[-1].score.weight /= scores.std()
     return net, left, right
 
 
 def slices_of(monkeypatch, size):
     """Cut blocks into slices of about ``size`` bytes: at these sizes one would hold them whole."""
-    monkeypatch.setattr(fused, "SLICE", size)
+    monkeypatch.setattr(fused, "SLICE_BYTES", size)
     monkeypatch.setattr(fused, "MIN_ROWS", 1)
 
 
 @pytest.mark.parametrize(
     ("name", "coarse_pass"), [*((name, False) for name in NAMES), ("msnet3d", True)]
 )
-def test_rewritings_keep_the_result(name, coarse_pass, monkeypatch):
+def test_every_step_keeps_the_result(name, coarse_pass, monkeypatch):
     slices_of(monkeypatch, 10000)
     net, left, right = network(name, coarse_pass=coarse_pass)
     net, left, right = net.double(), left.double(), right.double()
     with torch.inference_mode():
         expected = net(left, right)
-        assert 0.5 < expected.std() < 12  # neither one value nor the ends of the range everywhere
+        assert (
+            0.5 < expected.disparity.std() < 12
+        )  # neither one value nor the ends of the range everywhere
         for step in STEPS:
             step(net)
             # One by one in the final networks alone: it takes long.
@@ -91,7 +95,7 @@ def parity():
 def test_equals_the_authors_networks(name, tmp_path):
     fixture = parity()
     torch.save(fixture.authors_state(name), tmp_path / "checkpoint.ckpt")
-    net = optimise(load_authors_checkpoint(tmp_path / "checkpoint.ckpt").double())
+    net = accelerate(load_authors_checkpoint(tmp_path / "checkpoint.ckpt").double(), "inference")
     assert fixture.largest_error(net, torch.float64, fixture.OUTPUTS[name], seed=7) < 1e-6
 
 
@@ -101,9 +105,9 @@ def test_fused_operators_round_and_no_more(name, dtype, tolerance, monkeypatch):
     slices_of(monkeypatch, 10000)
     net, left, right = network(name)
     with torch.inference_mode():
-        expected = copy.deepcopy(net).double()(left.double(), right.double())
+        expected = copy.deepcopy(net).double()(left.double(), right.double()).disparity
         views = (view.to(dtype, memory_format=torch.channels_last) for view in (left, right))
-        disparity = optimise(net).to(dtype)(*views)
+        disparity = accelerate(net, "inference").to(dtype)(*views).disparity
     assert disparity.dtype == torch.float32
     assert (disparity - expected).abs().mean() < tolerance
 
@@ -127,20 +131,49 @@ def test_a_block_in_slices(dims, outputs, stride, dilation, size, monkeypatch):
         sliced = copy.deepcopy(layers)
         with torch.inference_mode():
             expected = layers(x)
-            for step in (fold_norms, slice_blocks, fuse_convolutions):
+            for step in (fold_norms, process_by_rows, fuse_convolutions):
                 step(sliced)
             torch.testing.assert_close(sliced(x), expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("conv3d_as_2d", [False, True])
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [(name, {}) for name in NAMES]
+    + [("msnet3d", {"coarse_pass": True}), ("msnet2d", {"estimator": "mode"})],
+)
+def test_form_for_export(name, fields, conv3d_as_2d):
+    net, left, right = network(name, **fields)
+    net, left, right = net.double(), left[:1].double(), right[:1].double()
+    with torch.inference_mode():
+        prediction, scores = net(left, right), net.scores(left, right)
+        graph = accelerate(net, "export", conv3d_as_2d=conv3d_as_2d)
+        torch.testing.assert_close(graph(left, right), prediction.disparity, rtol=0, atol=1e-9)
+        graph = accelerate(net, "export", scores=True, conv3d_as_2d=conv3d_as_2d)
+        torch.testing.assert_close(graph(left, right), scores, rtol=0, atol=1e-9)
+
+
+def test_guidance_in_four_dimensions():
+    torch.manual_seed(0)
+    scores = 4 * torch.randn(2, 6, 3, 5, dtype=torch.float64)
+    found, expected = guidance_in_four_dimensions(scores), guidance_from_scores(scores)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+
+
+def test_unknown_purposes():
+    with pytest.raises(InputError, match="unknown purpose 'speed': choose one of inference, tr"):
+        accelerate(build_model("msnet2d", max_disparity=32), "speed")
+
+
 def test_norms_stay_in_training():
     with pytest.raises(InputError, match=r"eval mode: call net\.eval"):
-        fold_norms(create_model("msnet2d", max_disparity=32))
+        fold_norms(build_model("msnet2d", max_disparity=32))
 
 
 def test_the_network_given_stays_as_it_is():
     net = network("msnet2d")[0]
     state = {key: value.clone() for key, value in net.train().state_dict().items()}
-    optimise(net)
+    accelerate(net, "inference")
     assert net.training
     assert net.state_dict().keys() == state.keys()
     assert all(value.equal(state[key]) for key, value in net.state_dict().items())
@@ -174,10 +207,10 @@ def operators(net):
     return mode
 
 
-@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 640), ("msnet3d", 660)])
+@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 650), ("msnet3d", 660)])
 def test_number_of_operators(name, calls):
-    net = create_model(name, max_disparity=32).eval()
-    plain, fast = operators(net), operators(optimise(net))
+    net = build_model(name, max_disparity=32).eval()
+    plain, fast = operators(net), operators(accelerate(net, "inference"))
     # Norms and all activations after convolutions are gone; the ReLU of a sum and of the cost
     # volume's first layer are left.
     assert plain.counts["batch_norm"] > 150 and plain.counts["hardtanh_"] > 100
@@ -186,10 +219,9 @@ def test_number_of_operators(name, calls):
     assert sum(fast.counts.values()) < calls < 0.9 * sum(plain.counts.values())
 
 
-# Of one view in the 2D network and of both in the 3D one, whose correlation takes all channels.
-@pytest.mark.parametrize(("name", "views"), [("msnet2d", 1), ("msnet3d", 2)])
-def test_no_tensor_is_larger_than_the_features(name, views, monkeypatch):
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_no_tensor_is_larger_than_a_views_features(name, monkeypatch):
     slices_of(monkeypatch, 1)
-    net = create_model(name, max_disparity=32).eval()
-    features = views * 320 * 16 * 32
-    assert operators(optimise(net)).largest == features < operators(net).largest
+    net = build_model(name, max_disparity=32).eval()
+    features = 320 * 16 * 32
+    assert operators(accelerate(net, "inference")).largest == features < operators(net).largest

@@ -1,0 +1,249 @@
+"""The form of a network for export: a graph of plain operators that converters and engines take.
+
+That of a MobileStereoNet has tensors of at most four dimensions (with ``conv3d_as_2d``) and no
+height or width written into it: traced at one size, it serves any. Disparities lie along the batch
+axis, so it takes one pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.accelerate.inference import closed_form, guide_convolution
+from mobilestereonet.accelerate.modules import inference_copy
+from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume
+from mobilestereonet.accelerate.slices import slice_layers
+from mobilestereonet.accelerate.soft_argmax import closed_form as soft_argmax
+from mobilestereonet.accelerate.soft_argmax import upsample
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.coarse_pass import halve, log_likelihood
+from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+from mobilestereonet.nets.model import StereoModel, VolumeModel
+from mobilestereonet.nets.msnet import StereoNet
+
+BLOCK_PLANES = 4
+"""Disparities that go through the cost volume together; divides the number of every network."""
+
+
+class ExportableNet(nn.Module):
+    """A network in eval mode on one pair, with the same result up to rounding.
+
+    Attributes:
+        config: The network's.
+        preprocessing: The network's.
+        max_disparity: The network's.
+        size_multiple: Height and width must be multiples of this.
+        min_width: Smallest width in pixels.
+        any_size: Whether a graph that was traced at one size serves any.
+    """
+
+    any_size = False
+
+    def __init__(self, net: StereoModel, *, rgb: bool = False, scores: bool = False) -> None:
+        """Rewrite a copy of a network.
+
+        Args:
+            net: The network, with any weights.
+            rgb: Take RGB in 0..1 and preprocess it inside; otherwise preprocessed views.
+            scores: Give the last head's scores at their own resolution in place of the disparity.
+
+        Raises:
+            InputError: If scores are asked of a network that has none.
+        """
+        super().__init__()
+        if scores and not isinstance(net, VolumeModel):
+            raise InputError(f"{type(net).__name__} regresses the disparity: it has no scores")
+        self.config, self.preprocessing = net.config, net.preprocessing
+        self.max_disparity, self.size_multiple = net.max_disparity, net.size_multiple
+        self.min_width = net.max_disparity + net.size_multiple
+        self.rgb, self.gives_scores = rgb, scores
+        net = inference_copy(net)
+        fold_norms(net)
+        self._build(net)
+        self.requires_grad_(False).to(next(net.parameters()).dtype).eval()
+
+    def _build(self, net: StereoModel) -> None:
+        closed_form(net)
+        self.net = net
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Match one pair.
+
+        Args:
+            left: Left view (1, 3, H, W), preprocessed, or RGB in 0..1 with ``rgb``; H and W are
+                multiples of ``size_multiple``, W at least ``min_width``.
+            right: Right view, likewise.
+
+        Returns:
+            Disparity (1, H, W) in pixels, or scores (1, D, H / s, W / s).
+        """
+        if self.rgb:
+            left, right = self.preprocessing(left), self.preprocessing(right)
+        return self._match(left, right)
+
+    def _match(self, left: Tensor, right: Tensor) -> Tensor:
+        if self.gives_scores:
+            assert isinstance(self.net, VolumeModel)
+            return self.net.scores(left, right)
+        disparity: Tensor = self.net(left, right).disparity
+        return disparity
+
+
+def exportable_form(
+    net: StereoModel, *, rgb: bool = False, scores: bool = False, conv3d_as_2d: bool = False
+) -> ExportableNet:
+    """A copy of a network for export.
+
+    Args:
+        net: The network, with any weights.
+        rgb: See `ExportableNet`.
+        scores: Likewise.
+        conv3d_as_2d: Write 3D layers as 2D layers on slices, where the network's form for export
+            has that: for converters without 3D convolutions, or engines that are slow at them.
+
+    Raises:
+        InputError: See `ExportableNet`.
+    """
+    if isinstance(net, StereoNet):
+        return ExportableStereoNet(net, rgb=rgb, scores=scores, conv3d_as_2d=conv3d_as_2d)
+    return ExportableNet(net, rgb=rgb, scores=scores)
+
+
+def example_pair(net: StereoModel | ExportableNet, height: int = 64) -> tuple[Tensor, Tensor]:
+    """A small pair with which to trace an `ExportableNet` of any size; its values do not matter."""
+    width = net.max_disparity + net.size_multiple
+    left, right = torch.zeros(2, 1, 3, height, width)
+    return left, right
+
+
+class ExportableStereoNet(ExportableNet):
+    """`ExportableNet` of a MobileStereoNet, traced at one size for any."""
+
+    any_size = True
+
+    def __init__(
+        self,
+        net: StereoNet,
+        *,
+        rgb: bool = False,
+        scores: bool = False,
+        conv3d_as_2d: bool = False,
+    ) -> None:
+        self.conv3d_as_2d = conv3d_as_2d and net.config.dims == 3
+        super().__init__(net, rgb=rgb, scores=scores)
+
+    def _build(self, net: StereoModel) -> None:
+        assert isinstance(net, StereoNet)
+        self.estimator = net.regression.estimator
+        self.features, self.reduction = net.features, net.reduction
+        self.volume = (
+            BlockwiseLearnedVolume(net.volume)
+            if isinstance(net.volume, LearnedVolume)
+            else BlockwiseCorrelation(net.volume, net.config.volume_input)
+        )
+        self.pre_hourglass = net.pre_hourglass
+        self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
+        if net.config.coarse_pass:
+            self.guide = nn.Sequential(guide_convolution(net.guide))
+        if self.conv3d_as_2d:
+            slice_layers(self)
+
+    def _match(self, left: Tensor, right: Tensor) -> Tensor:
+        planes, guidance = self.config.planes, None
+        views = torch.cat((left, right))
+        if self.config.coarse_pass:
+            guidance = guidance_in_four_dimensions(self._scores(halve(views), planes // 2))
+        scores = self._scores(views, planes, guidance)
+        return scores if self.gives_scores else soft_argmax(upsample(scores), self.estimator)
+
+    def _scores(self, views: Tensor, planes: int, guidance: Tensor | None = None) -> Tensor:
+        left, right = self.reduction(self.features(views)).split(1)
+        blocks = list(self.volume(left, right, planes))
+        if self.conv3d_as_2d:
+            volume = torch.cat(blocks)
+            guidance = None if guidance is None else guidance.transpose(0, 1)
+        else:
+            volume = torch.cat([block.transpose(0, 1) for block in blocks], dim=1)  # (C, D, H, W)
+            if self.config.dims == 3:
+                volume = volume.unsqueeze(0)
+                guidance = None if guidance is None else guidance.unsqueeze(1)
+            elif len(volume) > 1:
+                volume = torch.cat(volume.split(1), dim=1)
+        x = self.pre_hourglass(volume)
+        if guidance is not None:
+            x = x + self.guide(guidance)
+        scores: Tensor = self.aggregation(x)
+        return scores.unsqueeze(0) if scores.ndim == 3 else scores
+
+
+def guidance_in_four_dimensions(scores: Tensor) -> Tensor:
+    """As `nets.coarse_pass.guidance_from_scores`, on tensors of four dimensions."""
+    likely = F.interpolate(log_likelihood(scores), scale_factor=2.0, mode="bilinear")
+    # Along the disparities: even planes, odd planes, then in order.
+    below = torch.cat((likely[:, :1], likely[:, :-1]), dim=1)
+    above = torch.cat((likely[:, 1:], likely[:, -1:]), dim=1)
+    planes = torch.cat((0.75 * likely + 0.25 * below, 0.75 * likely + 0.25 * above), dim=1)
+    order = torch.arange(planes.shape[1], device=planes.device).reshape(2, -1).t().flatten()
+    return planes.index_select(1, order).to(scores.dtype)
+
+
+class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
+    """`LearnedVolume` without batch norms, in 2D convolutions, a few planes at a time.
+
+    A block has the columns from its first plane's first on, so that only a small corner, where
+    its planes begin one after the other, needs a mask.
+    """
+
+    def __init__(self, volume: LearnedVolume) -> None:
+        super().__init__(volume)
+        self.starts: Tensor
+        self.corner: Tensor
+        triangle = torch.triu(torch.ones(BLOCK_PLANES, BLOCK_PLANES))
+        self.register_buffer("starts", torch.eye(BLOCK_PLANES)[:, None, None])
+        self.register_buffer("corner", triangle[:, None, None])
+
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(1, 32, H, W) twice -> blocks of so many planes together, (4, 1, H, W)."""
+        count, block = planes, BLOCK_PLANES
+        left_share, right_share = self.left(left), self.right(right)
+        first = self.left_first(F.pad(left, (0, 1))[..., : count + 1])
+        last = self.right_last(F.pad(right, (1, 0))[..., -count - 1 :])
+        right_corner = F.pad(right_share[..., :block], (block - 1, 0))
+        right_corner = torch.cat(
+            [right_corner[..., block - 1 - i : 2 * block - 1 - i] for i in range(block)]
+        )
+        for a in range(0, count, block):
+            b = a + block
+            starts = torch.where(self.starts > 0, first[..., a:b], left_share[..., a:b])
+            inner = torch.cat([right_share[..., b - i : -1 - i] for i in range(a, b)])
+            end = torch.cat([last[..., count - 1 - i : count - i] for i in range(a, b)])
+            corner = (starts + right_corner) * self.corner
+            columns = (corner, left_share[..., b:-1] + inner, left_share[..., -1:] + end)
+            x = F.relu(torch.cat(columns, dim=-1))
+            for layer in (self.second, self.third, self.squeeze):
+                x = self._masked(layer(x))
+            yield F.pad(x, (a, 0))
+
+    def _masked(self, x: Tensor) -> Tensor:
+        return torch.cat((x[..., :BLOCK_PLANES] * self.corner, x[..., BLOCK_PLANES:]), dim=-1)
+
+
+class BlockwiseCorrelation(nn.Module):
+    """`Correlation` in tensors of four dimensions."""
+
+    def __init__(self, volume: Correlation, channels: int) -> None:
+        super().__init__()
+        # A convolution and no mean over a reshaped tensor, which would need to know its size.
+        self.mean = nn.Conv2d(channels, volume.groups, 1, groups=volume.groups, bias=False)
+        nn.init.constant_(self.mean.weight, volume.groups / channels)
+
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+        """(1, C, H, W) twice -> so many planes (1, groups, H, W)."""
+        yield self.mean(left * right)
+        for i in range(1, planes):
+            yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))

@@ -1,0 +1,149 @@
+"""The form of a network for inference: rewritings in eval mode that keep its result.
+
+What is left has no training mode.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import (
+    convert_conv2d_weight_memory_format,
+    convert_conv3d_weight_memory_format,
+)
+
+from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
+from mobilestereonet.accelerate.modules import inference_copy, replace_modules
+from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.planewise import (
+    PlanewiseCorrelation,
+    PlanewiseLearnedVolume,
+    StackedPlanes,
+)
+from mobilestereonet.accelerate.soft_argmax import SCALE, ClosedFormSoftArgmax
+from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
+from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
+
+def inference_form(net: StereoModel) -> StereoModel:
+    """A copy in eval mode, rewritten for the device on which the network is.
+
+    Weights may be of any floating-point type, and be converted to another one afterwards. On a
+    CPU, on inputs in channels last, oneDNN runs float32 and, where the processor has it, bfloat16;
+    PyTorch's own layers run the rest. On a GPU the batch norms are folded and the soft-argmax is
+    in closed form; PyTorch's own layers run it.
+    """
+    on_cpu = next(net.parameters()).device.type == "cpu"
+    net = inference_copy(net)
+    fold_norms(net)
+    closed_form(net)
+    if on_cpu:
+        if isinstance(net, StereoNet):
+            images_one_by_one(net)
+            drop_training_heads(net)
+            volume_by_planes(net)
+            columns_first(net)
+            process_by_rows(net)
+        fuse_convolutions(net)
+        convert_conv3d_weight_memory_format(net, torch.channels_last_3d)
+    # With 3D convolutions in channels last a GPU was slower than with the plain formulation.
+    convert_conv2d_weight_memory_format(net, torch.channels_last)
+    return net
+
+
+def closed_form(net: nn.Module) -> None:
+    """The soft-argmax in closed form, where the network's scale is that of the form."""
+    replace_modules(
+        net, SoftArgmax, lambda head: ClosedFormSoftArgmax(head) if head.scale == SCALE else head
+    )
+
+
+class PerImageSequential(nn.Sequential):
+    """A chain of layers that takes the images of a batch one after the other."""
+
+    def forward(self, images: Tensor) -> Tensor:
+        """(B, 3, H, W) -> (B, C, H / 4, W / 4)."""
+        results = []
+        for image in images.split(1):
+            for layer in self:
+                image = layer(image)
+            results.append(image)
+        return torch.cat(results)
+
+
+def images_one_by_one(net: StereoNet) -> None:
+    """Features of one image at a time: less memory, in the same time."""
+    net.add_module("features", PerImageSequential(net.features, net.reduction))
+    net.reduction = nn.Identity()
+
+
+def drop_training_heads(net: StereoNet) -> None:
+    """The heads that only training calls."""
+    net.heads = nn.ModuleList([*(nn.Identity() for _ in net.hourglasses), net.heads[-1]])
+
+
+def volume_by_planes(net: StereoNet) -> None:
+    """The cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
+    in_columns = net.config.dims == 3
+    replace_modules(
+        net,
+        LearnedVolume,
+        lambda volume: StackedPlanes(PlanewiseLearnedVolume(volume), columns_first=in_columns),
+    )
+    replace_modules(
+        net,
+        Correlation,
+        lambda volume: StackedPlanes(PlanewiseCorrelation(volume), columns_first=in_columns),
+    )
+
+
+def columns_first(net: StereoNet) -> None:
+    """A 3D encoder takes the volume as columns, disparities and rows, as which it lies in memory.
+
+    Of views wider than high the plane of a column is the smallest, so that some fit into a cache.
+    After `volume_by_planes` and `drop_training_heads`.
+    """
+    if net.config.dims == 2:
+        return
+    for module in net.modules():
+        if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
+            module.weight = nn.Parameter(module.weight.movedim(-1, 2), requires_grad=False)
+    net.add_module("pre_hourglass", nn.Sequential(MoveAxis(-1, 2), net.pre_hourglass))
+    net.heads[-1] = nn.Sequential(net.heads[-1], MoveAxis(1, -1))
+    if net.config.coarse_pass:
+        net.add_module("guide", ColumnGuide(net.guide))
+
+
+class MoveAxis(nn.Module):
+    """`torch.movedim` as a layer."""
+
+    def __init__(self, source: int, destination: int) -> None:
+        super().__init__()
+        self.source, self.destination = source, destination
+
+    def forward(self, x: Tensor) -> Tensor:
+        """A view of ``x``."""
+        return x.movedim(self.source, self.destination)
+
+
+class ColumnGuide(nn.Module):
+    """`Guide` on columns first, summed in place."""
+
+    def __init__(self, guide: nn.Conv3d) -> None:
+        super().__init__()
+        self.conv = nn.Sequential(guide_convolution(guide))
+
+    def forward(self, x: Tensor, guidance: Tensor) -> Tensor:
+        """(B, width, W, D, H) and guidance (B, D, H, W) -> (B, width, W, D, H)."""
+        return cast(Tensor, self.conv(guidance.unsqueeze(1).movedim(-1, 2))).add_(x)
+
+
+def guide_convolution(guide: nn.Conv3d) -> nn.Conv3d:
+    """The convolution of a `Guide`, without its sum."""
+    conv = nn.Conv3d(1, guide.out_channels, 3, padding=1, bias=False, device="meta")
+    conv.weight = guide.weight
+    return conv

@@ -1,0 +1,45 @@
+"""Batch norms folded into the convolutions before them.
+
+In eval mode a batch norm is an affine map per channel, y = (x - mean) * weight / sqrt(var + eps)
++ bias: it scales the kernels of the convolution before it and becomes its bias.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import nn
+from torch.nn.utils import fuse_conv_bn_eval
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.cost_volumes import LearnedVolume
+
+_CONVOLUTIONS = (nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d, nn.ConvTranspose3d)
+_NORMS = (nn.BatchNorm2d, nn.BatchNorm3d)
+
+
+def fold_norms(net: nn.Module) -> None:
+    """Fold each batch norm that follows a convolution in a sequence, in place.
+
+    Raises:
+        InputError: If the network is in training mode, in which norms take statistics.
+    """
+    if net.training:
+        raise InputError("batch norms can only be folded in eval mode: call net.eval() first")
+    for module in list(net.modules()):
+        if isinstance(module, nn.Sequential):
+            for index in reversed(range(1, len(module))):
+                before, norm = module[index - 1], module[index]
+                if isinstance(norm, _NORMS) and isinstance(before, _CONVOLUTIONS):
+                    module[index - 1] = _folded(before, norm)
+                    del module[index]
+        elif isinstance(module, LearnedVolume):
+            for index, (conv, norm) in enumerate(zip(module.conv, module.norm, strict=True)):
+                module.conv[index] = _folded(conv, norm)
+                module.norm[index] = nn.Identity()
+
+
+def _folded(conv: Any, norm: Any) -> nn.Module:
+    transposed = isinstance(conv, nn.ConvTranspose2d | nn.ConvTranspose3d)
+    folded: nn.Module = fuse_conv_bn_eval(conv, norm, transpose=transposed)
+    return folded

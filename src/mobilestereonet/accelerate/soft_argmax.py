@@ -1,0 +1,218 @@
+"""Soft-argmax in closed form, from scores at a quarter of the resolution.
+
+`nets.soft_argmax.SoftArgmax` upsamples scores (D, H, W) by 4 to (4 D, 4 H, 4 W) and takes the
+expectation under their softmax. Between two neighbouring planes the upsampled scores are linear in
+the disparity, so that the four fine terms between them are a geometric series: with
+r = exp(-|difference of the two scores| / 4) and e the largest of the four,
+
+    e, e r, e r^2, e r^3,
+
+from the better score's side, at 1.5, 0.5, 0.5 and 1.5 px from the interval's centre. Their sum and moments
+have closed forms, and the two fine terms at either end of the range repeat the outer plane's. Hence
+(D, 4 H, 4 W) is enough, with two exponentials per plane instead of four. Drawing and worked example:
+``docs/how-it-works.md``, "The head".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from mobilestereonet.nets.soft_argmax import (
+    CONFIDENCE_RADIUS_PX,
+    Estimator,
+    SoftArgmax,
+    dominant_mode,
+)
+
+SCALE = 4
+"""The upsampling for which the closed form is written."""
+
+_CACHED_ELEMENTS = 1 << 17
+"""Elements of a temporary that stays in the processor's cache."""
+
+_ROWS = 4
+"""Rows of scores that are upsampled at a time."""
+
+
+class ClosedFormSoftArgmax(SoftArgmax):
+    """`SoftArgmax` with a scale of 4, in closed form."""
+
+    def __init__(self, regression: SoftArgmax) -> None:
+        super().__init__(regression.scale, regression.estimator)
+
+    def forward(self, scores: Tensor) -> Tensor:
+        """Scores (B, D, H, W) to disparity (B, 4 H, 4 W) in pixels."""
+        return _regress(scores, self.estimator)
+
+    def expectation(self, scores: Tensor) -> Tensor:
+        """As `forward`, with the estimator "mean"."""
+        return _regress(scores, "mean")
+
+    def confidence(self, scores: Tensor) -> Tensor:
+        """As `SoftArgmax.confidence`, on tensors of four dimensions."""
+        scores = scores.to(torch.promote_types(scores.dtype, torch.float32))
+        planes = scores.shape[1]
+        # Linear upsampling along D as a 1x1 convolution.
+        identity = torch.eye(planes, dtype=scores.dtype, device=scores.device)
+        weights = F.interpolate(identity[None], scale_factor=float(SCALE), mode="linear")[0].t()
+        probability = F.conv2d(scores, weights[..., None, None]).softmax(dim=1)
+        bins = torch.arange(SCALE * planes, dtype=scores.dtype, device=scores.device)
+        disparity = closed_form(scores, self.estimator).unsqueeze(1)
+        distance = (bins[:, None, None] - disparity).abs()
+        within = (CONFIDENCE_RADIUS_PX + 0.5 - distance).clamp(0, 1)
+        confidence = (probability * within).sum(dim=1, keepdim=True)
+        return F.interpolate(confidence, scale_factor=float(SCALE), mode="bilinear").squeeze(1)
+
+
+class _Intervals(NamedTuple):
+    """Sums over the four fine terms between neighbouring planes, before the softmax's division."""
+
+    mass: Tensor  # (B, D - 1, H, W)
+    first: Tensor  # first moment of the disparity about the interval's centre
+    inner: Tensor  # sum of the two inner terms
+    below: Tensor  # (B, H, W), the two fine terms below the first plane
+    above: Tensor  # the two above the last plane
+    centres: Tensor  # (D - 1, 1, 1), in pixels
+
+
+def _intervals(scores: Tensor, estimator: Estimator) -> _Intervals:
+    low, high = scores[:, :-1], scores[:, 1:]
+    rise = high - low
+    gap = rise.abs()
+    best = torch.maximum(low, high) - gap / 8  # the largest fine score
+    peak = best.amax(dim=1, keepdim=True)
+    peak = torch.maximum(peak, torch.maximum(scores[:, :1], scores[:, -1:]))
+    e, r = torch.exp(best - peak), torch.exp(-gap / 4)
+    squares = 1 + r * r
+    mass = e * (1 + r) * squares
+    first = e * torch.sign(rise) * (1 - r) * (1.5 * squares + 2 * r)
+    inner = e * r * (1 + r)
+    below, above = (2 * torch.exp(plane - peak[:, 0]) for plane in (scores[:, 0], scores[:, -1]))
+    centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
+    centres = (SCALE * centres + (SCALE + 3) / 2)[:, None, None]
+    if estimator == "mode":
+        ends = (below.unsqueeze(1), above.unsqueeze(1))
+        keep = dominant_mode(torch.cat((ends[0], mass, ends[1]), dim=1))
+        between = keep[:, 1:-1]
+        mass, first, inner = mass * between, first * between, inner * between
+        below, above = below * keep[:, 0], above * keep[:, -1]
+    return _Intervals(mass, first, inner, below, above, centres)
+
+
+def _expectation(m: _Intervals, planes: int) -> tuple[Tensor, Tensor]:
+    """Expected disparity and the softmax's denominator, each (B, H, W)."""
+    total = m.mass.sum(dim=1) + m.below + m.above
+    moment = (m.centres * m.mass + m.first).sum(dim=1)
+    ends = 0.5 * m.below + (SCALE * planes - 1.5) * m.above
+    return (moment + ends) / total, total
+
+
+def closed_form(scores: Tensor, estimator: Estimator) -> Tensor:
+    """Expected disparity of scores whose upsampling in height and width is done.
+
+    Plain operators only.
+
+    Args:
+        scores: (B, D, H, W), planes at the disparities 1.5, 5.5, 9.5 ...
+        estimator: See `SoftArgmax`.
+
+    Returns:
+        Disparity (B, H, W) in pixels.
+    """
+    return _expectation(_intervals(scores, estimator), scores.shape[1])[0]
+
+
+def upsample(scores: Tensor) -> Tensor:
+    """Scores (B, D, H, W), upsampled in height and width: (B, D, 4 H, 4 W)."""
+    return F.interpolate(scores, scale_factor=float(SCALE), mode="bilinear", align_corners=False)
+
+
+def _regress(scores: Tensor, estimator: Estimator) -> Tensor:
+    scores = scores.to(torch.promote_types(scores.dtype, torch.float32))
+    # One graph for all sizes, which an engine divides itself; and on a GPU few large kernels.
+    if torch.compiler.is_compiling() or (scores.is_cuda and not scores.requires_grad):
+        return closed_form(upsample(scores), estimator)
+    if scores.requires_grad:
+        disparity: Tensor = _soft_argmax(upsample(scores), estimator == "mode")[0]
+        return disparity
+    return torch.cat(list(_by_rows(scores, estimator)), dim=1)
+
+
+def _by_rows(scores: Tensor, estimator: Estimator) -> Iterator[Tensor]:
+    """Disparity of some rows at a time, so that not even the upsampled scores exist as a whole."""
+    height = scores.shape[2]
+    for top in range(0, height, _ROWS):
+        bottom = min(top + _ROWS, height)
+        # The row above and the one below are what the interpolation also looks at.
+        first = max(top - 1, 0)
+        fine = upsample(scores[:, :, first : bottom + 1])
+        fine = fine[:, :, SCALE * (top - first) : SCALE * (bottom - first)]
+        for rows in fine.split(_cached_rows(fine), dim=2):
+            yield closed_form(rows, estimator)
+
+
+def _cached_rows(scores: Tensor) -> int:
+    if scores.is_cuda:
+        return scores.shape[2]
+    return max(1, _CACHED_ELEMENTS // (scores.shape[1] * scores.shape[3]))
+
+
+@torch.library.custom_op("mobilestereonet::soft_argmax", mutates_args=())
+def _soft_argmax(scores: Tensor, mode: bool) -> tuple[Tensor, Tensor]:
+    """`closed_form` and its derivative, row by row: what training needs.
+
+    The temporaries of some rows stay in the processor's cache, and both come from the same ones:
+    several times faster on a CPU than autograd through `closed_form`.
+    """
+    disparity = torch.empty_like(scores[:, 0])
+    derivative = torch.empty_like(scores)
+    step = _cached_rows(scores)
+    blocks = zip(
+        scores.split(step, 2), disparity.split(step, 1), derivative.split(step, 2), strict=True
+    )
+    for rows, *targets in blocks:
+        _disparity_and_derivative(rows, "mode" if mode else "mean", *targets)
+    return disparity, derivative
+
+
+@_soft_argmax.register_fake
+def _(scores: Tensor, mode: bool) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(scores[:, 0]), torch.empty_like(scores)
+
+
+def _keep_derivative(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
+    ctx.mark_non_differentiable(output[1])
+    ctx.save_for_backward(output[1])
+
+
+def _backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Tensor, None]:
+    (derivative,) = ctx.saved_tensors
+    return derivative * grad.unsqueeze(1), None
+
+
+_soft_argmax.register_autograd(_backward, setup_context=_keep_derivative)
+
+
+def _disparity_and_derivative(
+    scores: Tensor, estimator: Estimator, disparity: Tensor, derivative: Tensor
+) -> None:
+    """Fill in the disparity (B, H, W), and what each score (B, D, H, W) changes of it."""
+    m = _intervals(scores, estimator)
+    found, total = _expectation(m, scores.shape[1])
+    disparity.copy_(found)
+    scale = 0.5 / total.unsqueeze(1)
+    offset = m.centres - found.unsqueeze(1)
+    # A fine term at o px from its interval's centre weighs the two planes 1/2 -+ o/4.
+    even = torch.addcmul(m.first, offset, m.mass).mul_(scale)
+    second = 2.25 * m.mass - 2 * m.inner
+    odd = second.addcmul_(offset, m.first).mul_(scale / 2)
+    ends = 2 * scale[:, 0]
+    torch.sub(even, odd, out=derivative[:, :-1])
+    derivative[:, -1] = ends * (SCALE * scores.shape[1] - 1.5 - found) * m.above
+    derivative[:, 1:] += even.add_(odd)
+    derivative[:, 0] += ends * (0.5 - found) * m.below

@@ -1,0 +1,231 @@
+"""`StereoModel`, the interface of every stereo network, and `VolumeModel` for those that score."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
+
+@dataclass(frozen=True)
+class Preprocessing:
+    """How RGB views become a network's input: ``(scale * view - mean) / std`` per channel.
+
+    Attributes:
+        mean: Mean of red, green and blue, after scaling.
+        std: Standard deviation of red, green and blue, after scaling.
+        scale: Factor of values in 0..1, such as 255 for networks that take 0..255.
+    """
+
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    scale: float = 1.0
+
+    def __call__(self, view: Tensor) -> Tensor:
+        """RGB in 0..1, (..., 3, H, W), to the network's input of the same shape."""
+        mean = view.new_tensor(self.mean)[:, None, None]
+        std = view.new_tensor(self.std)[:, None, None]
+        return ((view if self.scale == 1 else view * self.scale) - mean) / std
+
+
+RGB = Preprocessing()
+"""Views stay as they are, RGB in 0..1."""
+
+IMAGENET = Preprocessing((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+"""Normalisation by the mean and standard deviation of ImageNet's pictures."""
+
+
+class Prediction(NamedTuple):
+    """What a network predicts for a batch of pairs.
+
+    Attributes:
+        disparity: (B, H, W), in pixels of the left view.
+        confidence: (B, H, W) in 0..1, the probability that the disparity is within 2 px of the
+            estimate; None from networks that regress the disparity without scores.
+    """
+
+    disparity: Tensor
+    confidence: Tensor | None = None
+
+
+class StereoModel(nn.Module):
+    """A stereo network: everything that training, evaluation, export and engines know of one.
+
+    In training mode ``forward`` returns what `training_loss` takes: any object with the final
+    prediction as its attribute ``disparity``, (B, H, W).
+
+    Args:
+        config: The network as data: a frozen dataclass with a field ``max_disparity``. A weights
+            file holds it as JSON.
+
+    Attributes:
+        config: The same.
+        preprocessing: How RGB views become the network's input.
+        size_multiple: Height and width of an input must be multiples of this.
+    """
+
+    preprocessing: ClassVar[Preprocessing] = IMAGENET
+    size_multiple: int = 16
+
+    def __init__(self, config: Any) -> None:
+        super().__init__()
+        self.config = config
+
+    @property
+    def max_disparity(self) -> int:
+        """Disparities 0 .. max_disparity - 1 are searched, in pixels."""
+        return int(self.config.max_disparity)
+
+    def forward(self, left: Tensor, right: Tensor) -> Any:
+        """Match a batch of pairs.
+
+        Args:
+            left: Left views (B, 3, H, W), preprocessed; H and W multiples of ``size_multiple``.
+            right: Right views, likewise.
+
+        Returns:
+            A `Prediction` in eval mode, in training mode what `training_loss` takes.
+
+        Raises:
+            InputError: If the shapes differ or are not such multiples.
+        """
+        raise NotImplementedError
+
+    def training_loss(self, outputs: Any, disparity: Tensor, valid: Tensor) -> Tensor:
+        """The loss of the network's paper.
+
+        Args:
+            outputs: What ``forward`` returned in training mode.
+            disparity: Ground truth (B, H, W), in pixels.
+            valid: Pixels that count, (B, H, W) bool; see `trained_pixels`.
+
+        Returns:
+            Mean over the valid pixels, a scalar; 0 where there is none.
+        """
+        raise NotImplementedError
+
+    def zero_residuals(self) -> None:
+        """Start every residual branch of fresh weights at zero, where a network has this.
+
+        Raises:
+            InputError: From networks that do not.
+        """
+        raise InputError(f"{type(self).__name__} cannot start residual branches at zero")
+
+    def set_step(self, step: int) -> None:
+        """Called with the number of the training step before each of them; does nothing here."""
+
+    def check_views(self, left: Tensor, right: Tensor) -> None:
+        """Check that two views fit each other and the network.
+
+        Raises:
+            InputError: If they are no batches of one shape (B, 3, H, W), or H or W is no multiple
+                of ``size_multiple``.
+        """
+        if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
+            raise InputError(
+                "left and right must both be (B, 3, H, W), "
+                f"got {tuple(left.shape)} and {tuple(right.shape)}"
+            )
+        height, width = left.shape[-2:]
+        if height % self.size_multiple or width % self.size_multiple:
+            raise InputError(
+                f"height and width must be multiples of {self.size_multiple}, got {height} x "
+                f"{width}: pad the pair (StereoMatcher does)"
+            )
+
+
+class VolumeOutputs:
+    """What a `VolumeModel` computes: scores per head, and disparities where they are asked for.
+
+    Args:
+        scores: Matching scores (B, D, H / s, W / s) per head, first to last; in eval mode those of
+            the last head alone.
+        volume: The cost volume (B, C, D, H / s, W / s).
+        regression: From scores to disparity.
+    """
+
+    def __init__(self, scores: list[Tensor], volume: Tensor | None, regression: SoftArgmax) -> None:
+        self.scores = scores
+        self.volume = volume
+        self.regression = regression
+
+    def last(self, count: int) -> VolumeOutputs:
+        """The outputs of the last ``count`` heads."""
+        if count >= len(self.scores):
+            return self
+        return VolumeOutputs(self.scores[-count:], self.volume, self.regression)
+
+    @cached_property
+    def disparities(self) -> list[Tensor]:
+        """Expected disparity (B, H, W) per head."""
+        return [self.regression.expectation(scores) for scores in self.scores]
+
+    @property
+    def disparity(self) -> Tensor:
+        """The last head's."""
+        return self.disparities[-1]
+
+
+class VolumeModel(StereoModel):
+    """A network that scores each pixel's disparities, and regresses from the scores.
+
+    Attributes:
+        head_weights: Weights of the heads in the loss, first to last.
+        regression: From scores to disparity and confidence.
+    """
+
+    head_weights: tuple[float, ...] = (1.0,)
+    regression: SoftArgmax
+
+    def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
+        """Scores of all heads in training mode, of the last one in eval mode.
+
+        Args:
+            left: Left views (B, 3, H, W), preprocessed.
+            right: Right views, likewise.
+
+        Raises:
+            InputError: If the shapes do not fit, see `check_views`.
+        """
+        raise NotImplementedError
+
+    def scores(self, left: Tensor, right: Tensor) -> Tensor:
+        """The last head's matching scores (B, D, H / s, W / s), s being ``regression.scale``."""
+        return self.outputs(left, right).scores[-1]
+
+    def forward(self, left: Tensor, right: Tensor) -> Any:
+        """A `Prediction` in eval mode, `VolumeOutputs` in training mode; see `StereoModel`."""
+        if self.training:
+            return self.outputs(left, right)
+        scores = self.scores(left, right)
+        return Prediction(self.regression(scores), self.regression.confidence(scores))
+
+    def weights_of(self, heads: list[Tensor]) -> list[float]:
+        """Weights of the last heads; those before the listed ones weigh as the first of them."""
+        missing = max(0, len(heads) - len(self.head_weights))
+        weights = [self.head_weights[0]] * missing + list(self.head_weights)
+        return weights[-len(heads) :]
+
+    def training_loss(self, outputs: VolumeOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
+        """Smooth L1 of the heads' expected disparities, weighted; see `StereoModel`."""
+        losses = [
+            weight * F.smooth_l1_loss(prediction, disparity, reduction="none")
+            for weight, prediction in zip(
+                self.weights_of(outputs.scores), outputs.disparities, strict=True
+            )
+        ]
+        total = torch.stack([torch.where(valid, loss, 0).sum() for loss in losses]).sum()
+        return total / valid.sum().clamp_min(1)
+
+
+def trained_pixels(disparity: Tensor, valid: Tensor, max_disparity: int) -> Tensor:
+    """Pixels that losses look at: (B, H, W) bool, known ground truth 0 < d < max_disparity."""
+    return valid & (disparity > 0) & (disparity < max_disparity)

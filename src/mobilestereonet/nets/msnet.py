@@ -1,0 +1,202 @@
+"""MobileStereoNet (Shamsafar et al., WACV 2022): the networks of the paper and of its ablations.
+
+Both views go through the features one after the other, a loop over the disparities builds the
+cost volume, and an encoder-decoder (a pre-hourglass and stacked hourglasses, in 2D or 3D) turns it
+into matching scores per head (the paper's Fig. 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast, get_args
+
+import torch
+from torch import Tensor, nn
+
+from mobilestereonet.nets.blocks import Block, V2Block, initialise
+from mobilestereonet.nets.coarse_pass import Guide, guidance_from_scores, halve
+from mobilestereonet.nets.cost_volumes import Correlation, CostVolume, LearnedVolume
+from mobilestereonet.nets.features import FeatureExtraction, ResidualBlock, channel_reduction
+from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
+from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
+from mobilestereonet.nets.msnet_config import NetConfig
+from mobilestereonet.nets.operations import eval_mode
+from mobilestereonet.nets.registry import register_model
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
+UNGUIDED_STEPS = 4
+"""Of so many training steps one is without guidance, as the coarse pass itself is."""
+
+
+class StereoNet(VolumeModel):
+    """Stereo matching network (the paper's Fig. 4), assembled from a config."""
+
+    config: NetConfig
+    head_weights = (0.5, 0.5, 0.7, 1.0)  # the authors' release
+
+    def __init__(self, config: NetConfig) -> None:
+        super().__init__(config)
+        self.size_multiple = config.size_multiple
+        self.features = FeatureExtraction(config)
+        self.reduction = channel_reduction() if config.channel_reduction else nn.Identity()
+        self.volume = (
+            LearnedVolume(config.cost_volume)
+            if config.learns_volume
+            else Correlation(config.volume_channels)
+        )
+        inputs = config.volume_channels * (config.planes if config.dims == 2 else 1)
+        self.pre_hourglass = PreHourglass(config, inputs)
+        self.hourglasses = nn.ModuleList(Hourglass(config) for _ in range(config.hourglasses))
+        self.heads = nn.ModuleList(Head(config) for _ in range(config.hourglasses + 1))
+        self.regression = SoftArgmax(4, config.estimator)
+        initialise(self)
+        if config.coarse_pass:
+            self.guide = Guide(config.width)
+        self._guided = True
+
+    def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
+        """Cost volume and scores, see `VolumeModel`."""
+        self.check_views(left, right)
+        guidance = self.guidance(left, right)  # first, while no volume takes memory
+        volume = self.cost_volume(left, right, self.config.planes)
+        return VolumeOutputs(self.aggregate(volume, guidance), volume, self.regression)
+
+    def cost_volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        """Cost volume of a pair.
+
+        Args:
+            left: Left views (B, 3, H, W), preprocessed.
+            right: Right views, likewise.
+            planes: Disparities D at a quarter of the resolution.
+
+        Returns:
+            (B, C, D, H / 4, W / 4).
+        """
+        left, right = (self.reduction(self.features(view)) for view in (left, right))
+        return cast(Tensor, self.volume(left, right, planes))
+
+    def aggregate(self, volume: Tensor, guidance: Tensor | None = None) -> list[Tensor]:
+        """Encoder-decoder and heads: matching scores of a cost volume.
+
+        Args:
+            volume: (B, C, D, H / 4, W / 4).
+            guidance: (B, D, H / 4, W / 4), see `guidance`; None, as zeros, tells nothing.
+
+        Returns:
+            One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
+        """
+        x = self.pre_hourglass(volume.flatten(1, 2) if self.config.dims == 2 else volume)
+        if guidance is not None:
+            x = self.guide(x, guidance)
+        scores = []
+        for head, hourglass in zip(self.heads[:-1], self.hourglasses, strict=True):
+            if self.training:
+                scores.append(cast(Tensor, head(x)))
+            x = hourglass(x)
+        return [*scores, cast(Tensor, self.heads[-1](x))]
+
+    @torch.no_grad()
+    def guidance(self, left: Tensor, right: Tensor) -> Tensor | None:
+        """What a coarse pass, in eval mode, tells the fine one (see `nets.coarse_pass`).
+
+        Args:
+            left: Left views (B, 3, H, W), preprocessed.
+            right: Right views, likewise.
+
+        Returns:
+            (B, D, H / 4, W / 4), zeros in an unguided training step; None from a network without
+            a coarse pass.
+        """
+        if not self.config.coarse_pass:
+            return None
+        planes = self.config.planes
+        if self.training and not self._guided:
+            batch, _, height, width = left.shape
+            return left.new_zeros(batch, planes, height // 4, width // 4)
+        with eval_mode(self):
+            volume = self.cost_volume(halve(left), halve(right), planes // 2)
+            return guidance_from_scores(self.aggregate(volume)[-1])
+
+    def set_step(self, step: int) -> None:
+        """Every fourth training step is without guidance."""
+        self._guided = step % UNGUIDED_STEPS != 0
+
+    def zero_residuals(self) -> None:
+        """Start every residual branch at zero: the last batch norm's scale in each.
+
+        Fresh weights as the authors draw them amplify rounding some ten thousand times from input
+        to scores, so that reduced precision gives the first layers gradients of mere noise.
+        """
+        for module in self.modules():
+            if isinstance(module, ResidualBlock):
+                nn.init.zeros_(cast(nn.BatchNorm2d, module.conv2[-1]).weight)
+            elif isinstance(module, V2Block) and module.skip:
+                nn.init.zeros_(cast(nn.BatchNorm2d, module.conv[-1]).weight)
+
+
+MSNET2D = NetConfig(dims=2)
+MSNET3D = NetConfig(
+    dims=3, channel_reduction=False, cost_volume="groupwise", width=32, v2_relu=False
+)
+
+# The baselines have standard convolutions and one hourglass; v2 blocks that the ablations put
+# into them have t = 2 everywhere.
+_BASELINE: dict[str, Any] = {
+    "first_conv": "conv",
+    "features": "conv",
+    "pre_hourglass": "conv",
+    "hourglass": "conv",
+    "hourglasses": 1,
+    "first_expansion": 2,
+    "pre_expansion": 2,
+}
+BASELINE2D = replace(MSNET2D, **_BASELINE)
+BASELINE3D = replace(MSNET3D, **_BASELINE)
+
+
+def _ablations() -> dict[str, NetConfig]:
+    """The rows of the paper's ablation tables by name.
+
+    ``table2-<cost volume>``, ``table3a-<features>-<hourglass>`` (2D), ``table3b-...`` (3D) and
+    ``appendix2d-<first convolutions>-<pre-hourglass>`` (and 3d).
+    """
+    volumes: list[CostVolume] = ["concatenation", "correlation"]
+    volumes += [kind for kind in get_args(CostVolume) if kind.startswith("interlaced")]
+    rows = {f"table2-{kind}": replace(BASELINE2D, cost_volume=kind) for kind in volumes}
+    blocks: tuple[Block, ...] = get_args(Block)
+    for table, baseline in (("table3a", BASELINE2D), ("table3b", BASELINE3D)):
+        for features in blocks:
+            for hourglass in blocks:
+                row = replace(baseline, features=features, hourglass=hourglass)
+                rows[f"{table}-{features}-{hourglass}"] = row
+    for dims, best in (("2d", rows["table3a-v1-v2"]), ("3d", rows["table3b-v1-v2"])):
+        for first_conv in ("conv", "v2"):
+            for pre_hourglass in ("conv", "v2"):
+                row = replace(best, first_conv=first_conv, pre_hourglass=pre_hourglass)
+                rows[f"appendix{dims}-{first_conv}-{pre_hourglass}"] = row
+    return rows
+
+
+_PAPER = "Shamsafar et al., MobileStereoNet, WACV 2022"
+_CHECKPOINTS: dict[str, Any] = {
+    "checkpoints": "the authors' release, github.com/cogsys-tuebingen/mobilestereonet",
+    "trained_on": "SceneFlow; SceneFlow, then KITTI 2015",
+}
+register_model(
+    "msnet2d",
+    config=MSNET2D,
+    paper=_PAPER,
+    published={"SceneFlow EPE, px": 1.14, "KITTI 2015 validation D1, %": 2.53},
+    **_CHECKPOINTS,
+)(StereoNet)
+register_model(
+    "msnet3d",
+    config=MSNET3D,
+    paper=_PAPER,
+    published={"SceneFlow EPE, px": 0.8, "KITTI 2015 validation D1, %": 1.59},
+)(StereoNet)
+register_model(
+    "msnet3d-authors", config=replace(MSNET3D, v2_skip=False), paper=_PAPER, **_CHECKPOINTS
+)(StereoNet)
+for _name, _config in {"baseline2d": BASELINE2D, "baseline3d": BASELINE3D, **_ablations()}.items():
+    register_model(_name, config=_config, paper=_PAPER)(StereoNet)

@@ -1,0 +1,73 @@
+"""Operations that several networks share, written plainly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+def cost_volume(
+    compare: Callable[[Tensor, Tensor], Tensor], left: Tensor, right: Tensor, planes: int
+) -> Tensor:
+    """Cost volume by a loop over disparities.
+
+    Plane i compares left column x with right column x - i. The columns x < i, which have no
+    partner, are zero; so are whole planes from the width on.
+
+    Args:
+        compare: Left and right features (B, C, H, W - i) of the columns with a partner to costs
+            (B, channels, H, W - i).
+        left: Features of the left views, (B, C, H, W).
+        right: Features of the right views, likewise.
+        planes: Number of disparities D.
+
+    Returns:
+        (B, channels, D, H, W).
+    """
+    width = left.shape[-1]
+    volume = []
+    for i in range(min(planes, width)):
+        costs = compare(left[..., i:], right[..., : -i or None])
+        volume.append(F.pad(costs, (i, 0)))
+    volume += [torch.zeros_like(volume[0])] * (planes - len(volume))
+    return torch.stack(volume, dim=2)
+
+
+def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
+    """Pad above and on the right, where the authors' evaluation pads, too.
+
+    Columns without a partner at the left border stay at the border, as in training.
+
+    Args:
+        view: (B, C, H, W).
+        height: Height to reach.
+        width: Width to reach.
+        zeros: True pads with zeros, as the authors do: the mean colour once a view is normalised.
+            False repeats the border's pixels, which disturbs what is beside them less.
+
+    Returns:
+        (B, C, height, width).
+    """
+    around = (0, width - view.shape[-1], height - view.shape[-2], 0)
+    return F.pad(view, around, mode="constant" if zeros else "replicate")
+
+
+def unpad(map_: Tensor, height: int, width: int) -> Tensor:
+    """Undo `pad`: (..., padded height, padded width) -> (..., height, width)."""
+    return map_[..., map_.shape[-2] - height :, :width]
+
+
+@contextmanager
+def eval_mode(network: nn.Module) -> Iterator[None]:
+    """Eval mode for a while; afterwards each module has the mode that it had, frozen ones too."""
+    modes = [(module, module.training) for module in network.modules()]
+    network.eval()
+    try:
+        yield
+    finally:
+        for module, training in modes:
+            module.training = training

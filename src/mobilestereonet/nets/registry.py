@@ -1,0 +1,179 @@
+"""Names of networks: `register_model` and what looks them up.
+
+A name is a registered one or a class of the user's own, written ``my_net.py:MyNet``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.model import StereoModel
+
+Network = TypeVar("Network", bound=type[StereoModel])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelInfo:
+    """A registered network.
+
+    Attributes:
+        name: What `build_model` and the command line call it.
+        network: Its class, which takes the config.
+        config: Its config.
+        paper: Where it is described.
+        licence: Licence of public weights, in plain words.
+        checkpoints: Where public checkpoints are found.
+        trained_on: What those were trained on.
+        published: Errors that the paper prints, by what they are.
+    """
+
+    name: str
+    network: type[StereoModel]
+    config: Any
+    paper: str = ""
+    licence: str = ""
+    checkpoints: str = ""
+    trained_on: str = ""
+    published: Mapping[str, float] = field(default_factory=dict)
+
+
+_MODELS: dict[str, ModelInfo] = {}
+
+
+def register_model(
+    name: str, *, config: Any = None, **information: Any
+) -> Callable[[Network], Network]:
+    """Class decorator that gives a network a name.
+
+    Args:
+        name: The name. One that is taken already is replaced.
+        config: The network's config, a frozen dataclass with a field ``max_disparity``. By default
+            the class's own: the type of its annotation ``config``, without arguments.
+        **information: Further attributes of `ModelInfo`.
+
+    Returns:
+        A function that takes a subclass of `StereoModel` and returns it.
+    """
+
+    def register(network: Network) -> Network:
+        own = _default_config(network) if config is None else config
+        _MODELS[name] = ModelInfo(name=name, network=network, config=own, **information)
+        return network
+
+    return register
+
+
+def _default_config(network: type[StereoModel]) -> Any:
+    kind = get_type_hints(network).get("config")
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        raise InputError(
+            f"{network.__name__}: annotate its config with a frozen dataclass, such as "
+            "`config: MyConfig`, or give register_model a config"
+        )
+    return kind()
+
+
+def list_models(pattern: str = "*") -> list[str]:
+    """Registered names that match a shell pattern, such as ``msnet*``, in order of registration."""
+    return fnmatch.filter(_MODELS, pattern)
+
+
+def model_info(name: str) -> ModelInfo:
+    """What is registered under a name, or a class of the user's own.
+
+    Args:
+        name: One of `list_models`, or ``my_net.py:MyNet``: the file is imported.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the name is unknown, or the file has no such network.
+    """
+    if name not in _MODELS and ".py:" in name:
+        path, _, attribute = name.rpartition(":")
+        register_model(name)(_import_network(Path(path), attribute))
+    if name not in _MODELS:
+        near = difflib.get_close_matches(name, _MODELS, n=3) or ["msnet2d", "msnet3d"]
+        raise InputError(
+            f"unknown model {name!r}: did you mean {', '.join(near)}? `msnet models` lists all"
+        )
+    return _MODELS[name]
+
+
+def _import_network(path: Path, attribute: str) -> type[StereoModel]:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file to import {attribute} from")
+    module_name = f"mobilestereonet_user_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # dataclasses and pickles look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
+    network = getattr(module, attribute, None)
+    if not (isinstance(network, type) and issubclass(network, StereoModel)):
+        raise InputError(f"{path}: {attribute} is no subclass of mobilestereonet.StereoModel")
+    return network
+
+
+def model_config(name: str, **overrides: Any) -> Any:
+    """Config of a named network.
+
+    Args:
+        name: See `model_info`.
+        **overrides: Fields of its config to change, such as ``max_disparity=256``.
+
+    Raises:
+        FileNotFoundError: See `model_info`.
+        InputError: If the name or a field is unknown, or a value is refused.
+    """
+    config = model_info(name).config
+    names = [part.name for part in fields(config)]
+    for key in overrides:
+        if key not in names:
+            near = difflib.get_close_matches(key, names, n=1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            raise InputError(f"model {name} has no value {key!r}{hint}, only {', '.join(names)}")
+    return replace(config, **overrides)
+
+
+def build_model(name: str, **overrides: Any) -> StereoModel:
+    """A named network with fresh weights, in training mode.
+
+    Args:
+        name: See `model_info`.
+        **overrides: Fields of its config to change, such as ``max_disparity=256``.
+
+    Raises:
+        FileNotFoundError: See `model_info`.
+        InputError: If the name or a field is unknown, or a value is refused.
+    """
+    return model_info(name).network(model_config(name, **overrides))
+
+
+def is_model(config: Any, name: str) -> bool:
+    """Whether a config is a named model's, whatever its range (and the class's ``unnamed``).
+
+    Raises:
+        FileNotFoundError: See `model_info`.
+        InputError: If the name is unknown.
+    """
+    named = model_config(name)
+    if type(config) is not type(named):
+        return False
+    free = getattr(named, "unnamed", ("max_disparity",))
+    return bool(named == replace(config, **{key: getattr(named, key) for key in free}))
+
+
+def model_name(config: Any) -> str:
+    """The first registered model that a config is, see `is_model`; "custom" if it is none."""
+    return next((name for name in _MODELS if is_model(config, name)), "custom")
