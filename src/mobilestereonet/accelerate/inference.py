@@ -58,7 +58,11 @@ def inference_form(net: StereoModel) -> StereoModel:
 def closed_form(net: nn.Module) -> None:
     """The soft-argmax in closed form, where the network's scale is that of the form."""
     replace_modules(
-        net, SoftArgmax, lambda head: ClosedFormSoftArgmax(head) if head.scale == SCALE else head
+        net,
+        SoftArgmax,
+        lambda head: (
+            ClosedFormSoftArgmax(head) if head.scale == SCALE and not head.align_corners else head
+        ),
     )
 
 

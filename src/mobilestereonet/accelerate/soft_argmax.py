@@ -7,10 +7,10 @@ r = exp(-|difference of the two scores| / 4) and e the largest of the four,
 
     e, e r, e r^2, e r^3,
 
-from the better score's side, at 1.5, 0.5, 0.5 and 1.5 px from the interval's centre. Their sum and moments
-have closed forms, and the two fine terms at either end of the range repeat the outer plane's. Hence
-(D, 4 H, 4 W) is enough, with two exponentials per plane instead of four. Drawing and worked example:
-``docs/how-it-works.md``, "The head".
+from the better score's side, at 1.5, 0.5, 0.5 and 1.5 px from the interval's centre. Their sum and
+moments have closed forms, and the two fine terms at either end of the range repeat the outer
+plane's. Hence (D, 4 H, 4 W) is enough, with two exponentials per plane instead of four. Drawing and
+worked example: ``docs/how-it-works.md``, "The head".
 """
 
 from __future__ import annotations

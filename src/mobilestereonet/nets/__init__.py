@@ -1,6 +1,6 @@
 """The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets import msnet  # registers its names
+from mobilestereonet.nets import msnet, psmnet  # they register their names
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -36,6 +36,7 @@ __all__ = [
     "model_info",
     "model_name",
     "msnet",
+    "psmnet",
     "register_model",
     "trained_pixels",
 ]

@@ -69,10 +69,12 @@ class StereoModel(nn.Module):
         config: The same.
         preprocessing: How RGB views become the network's input.
         size_multiple: Height and width of an input must be multiples of this.
+        min_side: Smallest height and width of an input.
     """
 
     preprocessing: ClassVar[Preprocessing] = IMAGENET
     size_multiple: int = 16
+    min_side: int = 1
 
     def __init__(self, config: Any) -> None:
         super().__init__()
@@ -127,7 +129,7 @@ class StereoModel(nn.Module):
 
         Raises:
             InputError: If they are no batches of one shape (B, 3, H, W), or H or W is no multiple
-                of ``size_multiple``.
+                of ``size_multiple`` or below ``min_side``.
         """
         if left.shape != right.shape or left.dim() != 4 or left.shape[1] != 3:
             raise InputError(
@@ -139,6 +141,11 @@ class StereoModel(nn.Module):
             raise InputError(
                 f"height and width must be multiples of {self.size_multiple}, got {height} x "
                 f"{width}: pad the pair (StereoMatcher does)"
+            )
+        if min(height, width) < self.min_side:
+            raise InputError(
+                f"height and width must be at least {self.min_side}, got {height} x {width}: pad "
+                "the pair (StereoMatcher does)"
             )
 
 

@@ -29,23 +29,28 @@ class SoftArgmax(nn.Module):
 
     Args:
         scale: Pixels from one coarse plane to the next, and of one coarse pixel: the scores are
-            upsampled by this factor in disparity, height and width, with half-pixel centres.
+            upsampled by this factor in disparity, height and width.
         estimator: "mean" takes the expectation over all disparities, as the papers do; "mode"
             over the most likely neighbourhood. Training takes the mean.
+        align_corners: Upsample with the corners' centres aligned, as PyTorch did before version
+            0.4; otherwise with half-pixel centres.
     """
 
-    def __init__(self, scale: int = 4, estimator: Estimator = "mean") -> None:
+    def __init__(
+        self, scale: int = 4, estimator: Estimator = "mean", *, align_corners: bool = False
+    ) -> None:
         super().__init__()
+        self.align_corners = align_corners
         self.scale = scale
         self.estimator = estimator
 
     def forward(self, scores: Tensor) -> Tensor:
         """Scores (B, D, H, W), higher for better matches, to disparity (B, s H, s W) in pixels."""
-        return self._estimate(_upsample(scores, (self.scale,) * 3), self.estimator)
+        return self._estimate(self._upsample(scores, (self.scale,) * 3), self.estimator)
 
     def expectation(self, scores: Tensor) -> Tensor:
         """As `forward`, with the estimator "mean"."""
-        return self._estimate(_upsample(scores, (self.scale,) * 3), "mean")
+        return self._estimate(self._upsample(scores, (self.scale,) * 3), "mean")
 
     def confidence(self, scores: Tensor) -> Tensor:
         """Probability that the disparity is within 2 px of the estimate.
@@ -59,12 +64,19 @@ class SoftArgmax(nn.Module):
         Returns:
             (B, s H, s W) in 0..1.
         """
-        scores = _upsample(scores, (self.scale, 1, 1))
+        scores = self._upsample(scores, (self.scale, 1, 1))
         disparity = self._estimate(scores, self.estimator).unsqueeze(1)
         distance = (_bins(scores) - disparity).abs()
         within = (CONFIDENCE_RADIUS_PX + 0.5 - distance).clamp(0, 1)
         confidence = (scores.softmax(dim=1) * within).sum(dim=1, keepdim=True)
         return F.interpolate(confidence, scale_factor=self.scale, mode="bilinear").squeeze(1)
+
+    def _upsample(self, scores: Tensor, factors: tuple[int, int, int]) -> Tensor:
+        """(B, D, H, W) -> upsampled by factors of D, H and W; reduced precision becomes float32."""
+        scores = scores.to(torch.promote_types(scores.dtype, torch.float32)).unsqueeze(1)
+        size = [side * factor for side, factor in zip(scores.shape[2:], factors, strict=True)]
+        fine = F.interpolate(scores, size=size, mode="trilinear", align_corners=self.align_corners)
+        return fine.squeeze(1)
 
     def _estimate(self, scores: Tensor, estimator: Estimator) -> Tensor:
         """Expected disparity of scores (B, s D, H, W), one per pixel of disparity."""
@@ -103,14 +115,6 @@ def dominant_mode(intervals: Tensor) -> Tensor:
     keep = torch.maximum(torch.maximum(centre[:, :-2], centre[:, 1:-1]), centre[:, 2:])
     spread = most < MIN_MODE_PROBABILITY * intervals.sum(dim=1, keepdim=True)
     return torch.maximum(keep, spread.to(intervals.dtype))
-
-
-def _upsample(scores: Tensor, factors: tuple[int, int, int]) -> Tensor:
-    """(B, D, H, W) -> upsampled by factors of D, H and W; reduced precision becomes float32."""
-    scores = scores.to(torch.promote_types(scores.dtype, torch.float32)).unsqueeze(1)
-    factors_ = tuple(float(factor) for factor in factors)
-    fine = F.interpolate(scores, scale_factor=factors_, mode="trilinear", align_corners=False)
-    return fine.squeeze(1)
 
 
 def _bins(scores: Tensor) -> Tensor:

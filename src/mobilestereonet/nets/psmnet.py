@@ -1,0 +1,184 @@
+"""PSMNet (Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018), stacked and basic.
+
+Where the released code leaves the paper, this follows the code, which its weights obey: the last
+two stages of the features have dilations 1 and 2, in the paper 2 and 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
+from mobilestereonet.nets.features import FeatureExtraction
+from mobilestereonet.nets.hourglass import Head, PreHourglass
+from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
+from mobilestereonet.nets.msnet import BASELINE3D
+from mobilestereonet.nets.operations import cost_volume
+from mobilestereonet.nets.registry import register_model
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
+POOLING = (8, 16, 32, 64)
+"""Sides of the pyramid's pooling windows, in features of a quarter of the resolution."""
+
+_SHARED = replace(BASELINE3D, width=32)
+"""What PSMNet's trunk, pre-hourglass and heads share with the paper's 3D baseline."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PSMNetConfig:
+    """PSMNet as data.
+
+    Attributes:
+        max_disparity: Disparities 0 .. max_disparity - 1 are searched; a multiple of 16.
+        stacked: Three stacked hourglasses (Sec. 3.4); otherwise the "basic" residual blocks.
+        align_corners: Upsample with aligned corners, which the authors' KITTI weights and their
+            first SceneFlow weights need; those of 2021 and new ones take half-pixel centres.
+    """
+
+    max_disparity: int = 192
+    stacked: bool = True
+    align_corners: bool = False
+
+    def __post_init__(self) -> None:
+        if self.max_disparity % 16 or self.max_disparity < 16:
+            raise InputError(
+                f"max_disparity must be a positive multiple of 16, got {self.max_disparity}"
+            )
+
+
+class PyramidFeatures(nn.Module):
+    """Trunk and spatial pyramid pooling (Sec. 3.2): (B, 3, H, W) -> (B, 32, H / 4, W / 4)."""
+
+    def __init__(self, config: PSMNetConfig) -> None:
+        super().__init__()
+        self.align_corners = config.align_corners
+        self.trunk = FeatureExtraction(_SHARED)
+        self.pools = nn.ModuleList(nn.AvgPool2d(side) for side in POOLING)
+        self.branches = nn.ModuleList(conv_norm(2, 128, 32, kernel=1) for _ in POOLING)
+        self.fusion = nn.Sequential(conv_norm(2, 320, 128), nn.Conv2d(128, 32, 1, bias=False))
+
+    def forward(self, image: Tensor) -> Tensor:
+        """See the class."""
+        trunk = self.trunk
+        stage2 = trunk.stage2(trunk.stage1(trunk.first(image)))
+        stage4 = trunk.stage4(trunk.stage3(stage2))
+        levels = [
+            F.interpolate(
+                branch(pool(stage4)),
+                size=stage4.shape[-2:],
+                mode="bilinear",
+                align_corners=self.align_corners,
+            )
+            for pool, branch in zip(self.pools, self.branches, strict=True)
+        ]
+        return cast(Tensor, self.fusion(torch.cat((stage2, stage4, *levels), dim=1)))
+
+
+class StackedHourglass(nn.Module):
+    """One of the stacked hourglasses (Table 1 of the paper); 64 channels at both lower levels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = conv_norm(3, 32, 64, stride=2)
+        self.conv2 = conv_norm(3, 64, 64, activation=None)
+        self.conv3 = conv_norm(3, 64, 64, stride=2)
+        self.conv4 = conv_norm(3, 64, 64)
+        self.up5 = transposed_norm(3, 64, 64)
+        self.up6 = transposed_norm(3, 64, 32)
+
+    def forward(
+        self, x: Tensor, first_down: Tensor | None, last_up: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Down by 4 and up again.
+
+        Args:
+            x: (B, 32, D, H, W), sizes multiples of 4.
+            first_down: Features at half of the size on the first hourglass's way down, which its
+                successors add on their way up; None in the first, which adds its own.
+            last_up: Features at half of the size on the previous hourglass's way up; None in the
+                first.
+
+        Returns:
+            The result (B, 32, D, H, W), and this hourglass's features at half of the size on the
+            way down and on the way up.
+        """
+        down = self.conv2(self.conv1(x))
+        down = F.relu(down if last_up is None else down + last_up)
+        bottom = self.conv4(self.conv3(down))
+        up = F.relu(self.up5(bottom) + (down if first_down is None else first_down))
+        return self.up6(up), down, up
+
+
+@register_model(
+    "psmnet",
+    paper="Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018",
+    licence="MIT (code; nothing is said about the weights, KITTI's and SceneFlow's terms apply)",
+    checkpoints="JiaRenChang/PSMNet: pretrained_sceneflow_new.tar (half-pixel centres), "
+    "pretrained_model_KITTI2015.tar, pretrained_model_KITTI2012.tar (align_corners=True)",
+    trained_on="SceneFlow cleanpass; KITTI 2015; KITTI 2012",
+    published={"SceneFlow EPE, px": 1.09, "KITTI 2015 test D1-all, %": 2.32},
+)
+@register_model(
+    "psmnet-basic",
+    config=PSMNetConfig(stacked=False),
+    paper="Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018",
+)
+class PSMNet(VolumeModel):
+    """Pyramid features, a concatenation volume and a 3D encoder-decoder.
+
+    Views need sides of at least 256 px, for the largest pooling window.
+    """
+
+    config: PSMNetConfig
+    min_side = 4 * POOLING[-1]
+
+    def __init__(self, config: PSMNetConfig) -> None:
+        super().__init__(config)
+        self.features = PyramidFeatures(config)
+        self.pre_hourglass = PreHourglass(_SHARED, 64)
+        if config.stacked:
+            self.head_weights = (0.5, 0.7, 1.0)
+            self.hourglasses = nn.ModuleList(StackedHourglass() for _ in range(3))
+            self.heads = nn.ModuleList(Head(_SHARED) for _ in range(3))
+        else:
+            self.blocks = nn.ModuleList(
+                nn.Sequential(conv_norm(3, 32, 32), conv_norm(3, 32, 32, activation=None))
+                for _ in range(3)
+            )
+            self.head = Head(_SHARED)
+        self.regression = SoftArgmax(4, align_corners=config.align_corners)
+        initialise(self)
+
+    def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
+        """Concatenation volume (Sec. 3.3) and scores (Sec. 3.4), see `VolumeModel`."""
+        self.check_views(left, right)
+        left, right = self.features(left), self.features(right)
+        volume = cost_volume(
+            lambda *views: torch.cat(views, dim=1), left, right, self.max_disparity // 4
+        )
+        x = self.pre_hourglass(volume)
+        scores = self._stacked_scores(x) if self.config.stacked else [self._basic_scores(x)]
+        return VolumeOutputs(scores if self.training else scores[-1:], volume, self.regression)
+
+    def _stacked_scores(self, x: Tensor) -> list[Tensor]:
+        """Each head adds to the scores of the one before: all three run in eval mode, too."""
+        first_down = last_up = None
+        y = x
+        scores: list[Tensor] = []
+        for hourglass, head in zip(self.hourglasses, self.heads, strict=True):
+            y, down, last_up = hourglass(y, first_down, last_up)
+            first_down = down if first_down is None else first_down
+            y = y + x
+            scores.append(head(y) + scores[-1] if scores else head(y))
+        return scores
+
+    def _basic_scores(self, x: Tensor) -> Tensor:
+        for block in self.blocks:
+            x = block(x) + x
+        return cast(Tensor, self.head(x))
