@@ -21,8 +21,9 @@ from boxes import (
 from matplotlib.axes import Axes
 
 from mobilestereonet.costs import count_costs
-from mobilestereonet.nets import NetConfig, model_config
-from mobilestereonet.nets.config import FEATURE_CHANNELS, REDUCED_CHANNELS
+from mobilestereonet.nets import model_config
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS
+from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
 
 _HEIGHT, _WIDTH = 256, 512
 _TITLES = {"msnet2d": "2D-MobileStereoNet", "msnet3d": "3D-MobileStereoNet"}

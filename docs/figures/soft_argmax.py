@@ -9,8 +9,6 @@ import torch.nn.functional as F
 from boxes import INK, QUIET, save
 from matplotlib.figure import Figure
 
-from mobilestereonet.nets.disparity import soft_argmax
-
 _SCORES = (0.2, 0.9, 3.4, 2.6, 0.8, 0.1)
 
 
@@ -23,7 +21,7 @@ def draw_soft_argmax(path: Path) -> None:
     coarse = torch.tensor(_SCORES)
     fine = F.interpolate(coarse[None, None], scale_factor=4, mode="linear")[0, 0]
     probability = fine.softmax(0).numpy()
-    disparity = float(soft_argmax(coarse[None, :, None, None]))
+    disparity = float(SoftArgmax(4)(coarse[None, :, None, None])[0, 0, 0])
     figure = Figure(figsize=(7.6, 4.3), facecolor="white")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     bins = range(len(fine))

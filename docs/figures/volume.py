@@ -7,8 +7,7 @@ from pathlib import Path
 from boxes import FEATURES, INK, QUIET, VOLUME, arrow, box, canvas, label, line, save
 from matplotlib.patches import Rectangle
 
-from mobilestereonet.nets.config import REDUCED_CHANNELS
-from mobilestereonet.nets.cost_volumes import LearnedVolume
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, LearnedVolume
 
 _CELL = 13.5
 _LEFT, _RIGHT = FEATURES, VOLUME

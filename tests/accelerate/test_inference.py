@@ -207,7 +207,7 @@ def operators(net):
     return mode
 
 
-@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 650), ("msnet3d", 660)])
+@pytest.mark.parametrize(("name", "calls"), [("msnet2d", 690), ("msnet3d", 700)])
 def test_number_of_operators(name, calls):
     net = build_model(name, max_disparity=32).eval()
     plain, fast = operators(net), operators(accelerate(net, "inference"))
