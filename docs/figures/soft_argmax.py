@@ -9,6 +9,8 @@ import torch.nn.functional as F
 from boxes import INK, QUIET, save
 from matplotlib.figure import Figure
 
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
 _SCORES = (0.2, 0.9, 3.4, 2.6, 0.8, 0.1)
 
 
