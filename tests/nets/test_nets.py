@@ -1,4 +1,5 @@
 import math
+from dataclasses import dataclass
 
 import pytest
 import torch
@@ -6,8 +7,12 @@ import torch.nn.functional as F
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import (
+    StereoModel,
     build_model,
     list_models,
+    model_name,
+    register_model,
+    registry,
     trained_pixels,
 )
 from mobilestereonet.nets.coarse_pass import guidance_from_scores
@@ -23,11 +28,16 @@ LEARNED = [f"interlaced-{i}" for i in (1, 2, 4, 8, 16)] + ["concatenation"]
 def test_every_named_network(name):
     torch.manual_seed(0)
     net = build_model(name, max_disparity=32)
-    left, right = torch.randn(2, 2, 3, 32, 64)
+    if net.min_side == 1:
+        shape = (2, 32, 64)
+        net = net.double()  # fresh weights saturate some softmaxes in float32
+    else:
+        shape = (1, net.min_side, net.min_side)
+    left, right = torch.randn(2, shape[0], 3, *shape[1:], dtype=next(net.parameters()).dtype)
     outputs = net(left, right)
-    assert len(outputs.disparities) == net.config.hourglasses + 1
-    assert all(output.shape == (2, 32, 64) for output in outputs.disparities)
-    sum(output.mean() for output in outputs.disparities).backward()
+    assert outputs.disparity.shape == shape
+    valid = torch.ones(shape, dtype=torch.bool)
+    net.training_loss(outputs, torch.full(shape, 8.0, dtype=left.dtype), valid).backward()
     for key, parameter in net.named_parameters():
         assert parameter.grad is not None, key
         assert parameter.grad.isfinite().all(), key
@@ -35,9 +45,12 @@ def test_every_named_network(name):
     with torch.no_grad():
         prediction = net.eval()(left, right)
     for values, largest in zip(prediction, (31, 1.001), strict=True):
-        assert values.shape == (2, 32, 64)
+        assert values.shape == shape
         assert values.isfinite().all()
         assert 0 <= values.min() <= values.max() <= largest
+    assert model_name(net.config) in list_models()
+    with pytest.raises(InputError, match="multiples of 16"):
+        net(left[..., :-1], right[..., :-1])
 
 
 def test_the_papers_networks_have_four_outputs_and_reach_192_px():
@@ -292,6 +305,63 @@ def test_refused_names_and_overrides():
         build_model("msnet-2d")
     with pytest.raises(InputError, match=r"msnet2d has no value .colour."):
         build_model("msnet2d", colour="red")
+
+
+TINY = """
+from dataclasses import dataclass
+import torch
+from mobilestereonet.nets import Prediction, StereoModel
+
+@dataclass(frozen=True)
+class TinyConfig:
+    max_disparity: int = 64
+    slope: float = 2.0
+
+class Tiny(StereoModel):
+    config: TinyConfig
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.scale = torch.nn.Parameter(torch.tensor(config.slope))
+
+    def forward(self, left, right):
+        return Prediction(self.scale * (left - right).abs().mean(dim=1))
+"""
+
+
+def test_networks_of_the_users_own(tmp_path):
+    (tmp_path / "tiny.py").write_text(TINY)
+    name = f"{tmp_path}/tiny.py:Tiny"
+    net = build_model(name, slope=3.0)
+    assert isinstance(net, StereoModel) and net.scale == 3 and net.max_disparity == 64
+    prediction = net(torch.ones(1, 3, 16, 16), torch.zeros(1, 3, 16, 16))
+    assert prediction.disparity.eq(3).all() and prediction.confidence is None
+    assert model_name(build_model(name).config) == name
+    with pytest.raises(InputError, match=r"no value 'slop' \(did you mean slope\?\)"):
+        build_model(name, slop=1)
+    with pytest.raises(InputError, match=r"Big is no subclass of mobilestereonet\.StereoModel"):
+        build_model(f"{tmp_path}/tiny.py:Big")
+    with pytest.raises(FileNotFoundError, match=r"absent\.py"):
+        build_model(f"{tmp_path}/absent.py:Tiny")
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(InputError, match="cannot be imported: ZeroDivisionError"):
+        build_model(f"{tmp_path}/broken.py:Tiny")
+
+
+def test_register_model():
+    @dataclass(frozen=True)
+    class Config:
+        max_disparity: int = 48
+
+    @register_model("test-registered", paper="none")
+    class Net(StereoModel):
+        config: Config
+
+    try:
+        assert type(build_model("test-registered", max_disparity=32)) is Net
+        assert list_models("test-*") == ["test-registered"]
+    finally:
+        del registry._MODELS["test-registered"]
 
 
 def test_refused_inputs():
