@@ -32,7 +32,7 @@ def test_every_named_network(name):
         shape = (2, 32, 64)
         net = net.double()  # fresh weights saturate some softmaxes in float32
     else:
-        shape = (1, net.min_side, net.min_side)
+        shape = (2, net.min_side, net.min_side)
     left, right = torch.randn(2, shape[0], 3, *shape[1:], dtype=next(net.parameters()).dtype)
     outputs = net(left, right)
     assert outputs.disparity.shape == shape
