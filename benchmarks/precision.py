@@ -25,7 +25,7 @@ from mobilestereonet.evaluation import evaluate
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import StereoNet
-from mobilestereonet.weights import open_weights
+from mobilestereonet.weights import load_model
 
 REFERENCE = "torch:fp32"
 ENGINES = ("torch:bf16", "onnxruntime:fp32", "openvino:fp32", "openvino:bf16")
@@ -56,7 +56,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
 
-    net = open_weights(arguments.weights)
+    net = load_model(arguments.weights)
     pairs = [pair for _, pairs in real_and_synthetic(arguments.root) for pair in pairs]
     names = (REFERENCE, *arguments.engines)
     figures = {name: score(open_engine(name, net, arguments.threads), pairs) for name in names}

@@ -33,6 +33,8 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
+from mobilestereonet.nets.normalise import normalise
+from plain import PlainNet
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
@@ -41,9 +43,7 @@ from mobilestereonet.costs import count_costs
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.nets import StereoNet, create_model, model_config
-from mobilestereonet.nets.normalise import normalise
-from mobilestereonet.weights import embedded_models, load_pretrained
-from plain import PlainNet
+from mobilestereonet.weights import embedded_models, load_model
 
 ENGINES = (
     "plain:fp32",
@@ -81,7 +81,7 @@ class Case:
         torch.manual_seed(0)
         if self.model not in embedded_models() or self.max_disparity != 192:
             return create_model(self.model, max_disparity=self.max_disparity).eval()
-        net = load_pretrained(self.model)
+        net = load_model(self.model)
         # As the authors estimate, for the differences; "mode" takes some percent more time.
         net.config = replace(net.config, estimator="mean", coarse_pass=False)
         return net

@@ -13,8 +13,7 @@ PUBLIC = {
     "StereoSample",
     "create_model",
     "list_models",
-    "load_authors_checkpoint",
-    "load_weights",
+    "load_model",
     "save_weights",
 }
 

@@ -11,10 +11,9 @@ if TYPE_CHECKING:
     from mobilestereonet.data.sample import Calibration, StereoSample
     from mobilestereonet.inference import StereoMatcher, StereoResult
     from mobilestereonet.nets import StereoModel, list_models, register_model
-    from mobilestereonet.nets import build_model as create_model
     from mobilestereonet.nets.msnet import StereoNet
     from mobilestereonet.nets.msnet_config import NetConfig
-    from mobilestereonet.weights import load_authors_checkpoint, load_weights, save_weights
+    from mobilestereonet.weights import create_model, load_model, save_weights
 
 __version__ = "0.1.0"
 
@@ -29,8 +28,7 @@ __all__ = [
     "StereoSample",
     "create_model",
     "list_models",
-    "load_authors_checkpoint",
-    "load_weights",
+    "load_model",
     "register_model",
     "save_weights",
 ]
@@ -42,13 +40,11 @@ _ROOMS = {
     "nets": ("StereoModel", "list_models", "register_model"),
     "nets.msnet": ("StereoNet",),
     "nets.msnet_config": ("NetConfig",),
-    "weights": ("load_authors_checkpoint", "load_weights", "save_weights"),
+    "weights": ("create_model", "load_model", "save_weights"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name == "create_model":
-        return importlib.import_module(f"{__name__}.nets").build_model
     for room, names in _ROOMS.items():
         if name in names:
             return getattr(importlib.import_module(f"{__name__}.{room}"), name)

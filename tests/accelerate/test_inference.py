@@ -22,7 +22,6 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.coarse_pass import guidance_from_scores
-from mobilestereonet.weights import load_authors_checkpoint
 
 TESTS = Path(__file__).parents[1]
 STEPS = (
@@ -95,7 +94,7 @@ def parity():
 def test_equals_the_authors_networks(name, tmp_path):
     fixture = parity()
     torch.save(fixture.authors_state(name), tmp_path / "checkpoint.ckpt")
-    net = accelerate(load_authors_checkpoint(tmp_path / "checkpoint.ckpt").double(), "inference")
+    net = accelerate(load_model(tmp_path / "checkpoint.ckpt").double(), "inference")
     assert fixture.largest_error(net, torch.float64, fixture.OUTPUTS[name], seed=7) < 1e-6
 
 

@@ -13,14 +13,14 @@ from skimage.data import stereo_motorcycle
 
 from mobilestereonet import StereoMatcher, create_model, save_weights
 from mobilestereonet.engines.torch import TorchRuntime
-from mobilestereonet.weights import files
+from mobilestereonet.weights import embedded
 
 
 @pytest.fixture(scope="session")
 def weights(tmp_path_factory):
     torch.manual_seed(1)
-    path = tmp_path_factory.mktemp("weights") / "msnet2d.safetensors"
-    save_weights(create_model("msnet2d", max_disparity=32), path)
+    path = tmp_path_factory.mktemp("weights") / "msnet2d.test-1.safetensors"
+    save_weights(create_model("msnet2d", max_disparity=32), path, card={"licence": "MIT"})
     return path
 
 
@@ -78,7 +78,7 @@ def test_predict_writes_what_the_library_gives(msnet, folder):
 
 
 def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weights, monkeypatch):
-    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
+    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
     before = tree(folder)
     code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
     assert code == 0
@@ -104,14 +104,14 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
         ({"left": "nan.tiff"}, "nan.tiff: .*nan"),
         ({"--model": "raft"}, "unknown model 'raft'"),
         ({"--model": "baseline3d", "--weights": None}, "no weights of 'baseline3d'"),
-        ({"--model": "msnet3d"}, "net.safetensors: holds a msnet2d network, not msnet3d"),
+        ({"--model": "msnet3d"}, "net.safetensors: holds msnet2d, not msnet3d"),
         ({"--model": "sgbm"}, "sgbm has no weights"),
-        ({"--weights": "absent.safetensors"}, "absent.safetensors: no such weights file"),
+        ({"--weights": "absent.safetensors"}, "absent.safetensors: neither embedded weights"),
         ({"--weights": "cut.safetensors"}, "cut.safetensors: not a whole safetensors file"),
-        ({"--weights": "foreign.safetensors"}, "foreign.safetensors: .*no network config"),
+        ({"--weights": "foreign.safetensors"}, "foreign.safetensors: .*of no registered network"),
         ({"--weights": "left.png"}, "left.png: not a whole safetensors file"),
         ({"--weights": "cut.pth"}, "cut.pth: not a readable PyTorch checkpoint"),
-        ({"--weights": "foreign.pth"}, "foreign.pth: not the authors'"),
+        ({"--weights": "foreign.pth"}, "foreign.pth: .*of no registered network"),
         ({"-o": "text.txt"}, "text.txt: no files can be written there"),
         ({"-o": "text.txt/below"}, "text.txt/below: no files can be written there"),
     ],
@@ -119,7 +119,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
 def test_bad_input_ends_with_one_line_and_writes_nothing(
     msnet, folder, weights, monkeypatch, change, message
 ):
-    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
+    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
     monkeypatch.setattr(TorchRuntime, "__call__", lambda *_: pytest.fail("the network was run"))
     before = tree(folder)
     good = {"left": "left.png", "right": "right.png", "-o": "new", "--weights": "net.safetensors"}
@@ -171,11 +171,3 @@ def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):
     known = np.isfinite(disparity)
     expected = 994.978 * 0.193001 / (disparity[known] + 31.086)
     np.testing.assert_allclose(np.load(depth)[known], expected, rtol=1e-4)
-
-
-def test_models_are_listed(msnet, weights, monkeypatch):
-    monkeypatch.setattr(files, "_EMBEDDED", weights.parent)
-    code, out, _ = msnet("models")
-    assert code == 0
-    assert re.search(r"msnet2d\W+embedded\W+2\.353", out)
-    assert re.search(r"table3b-v1-v2\W+1\.011", out)

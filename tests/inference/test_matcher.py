@@ -6,7 +6,7 @@ import torch
 from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
 from mobilestereonet.engines.torch import TorchRuntime
 from mobilestereonet.inference import load_pair
-from mobilestereonet.weights import files
+from mobilestereonet.weights import embedded
 
 SMALL = {"max_disparity": 32}
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -208,9 +208,9 @@ def test_two_sizes_are_both_named(matcher):
 
 
 def test_from_pretrained(net, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_EMBEDDED", tmp_path)
-    path = tmp_path / "msnet2d.safetensors"
-    save_weights(net, path)
+    monkeypatch.setattr(embedded, "_FOLDER", tmp_path)
+    path = tmp_path / "msnet2d.test-1.safetensors"
+    save_weights(net, path, card={})
     pair = random_pair(20, 40)
     expected = StereoMatcher.from_pretrained()(*pair)
     for matcher in (
@@ -221,14 +221,10 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
         result = matcher(*pair)
         np.testing.assert_allclose(result.disparity, expected.disparity, rtol=0, atol=1e-3)
         assert result.facts["model"] == "msnet2d"
-    with pytest.raises(InputError, match="holds a msnet2d network, not msnet3d"):
+    with pytest.raises(InputError, match="holds msnet2d, not msnet3d"):
         StereoMatcher.from_pretrained("msnet3d", weights=path)
     with pytest.raises(InputError, match="no weights of 'baseline3d'"):
         StereoMatcher.from_pretrained("baseline3d")
-    with pytest.raises(
-        InputError, match="msnet2d names embedded weights: choose them as model, --model msnet2d"
-    ):
-        StereoMatcher.from_pretrained(weights="msnet2d")
     with pytest.raises(InputError, match="unknown model 'raft'"):
         StereoMatcher.from_pretrained("raft")
     with pytest.raises(InputError, match="unknown runtime 'abacus'"):

@@ -15,7 +15,7 @@ from mobilestereonet.paper.ablate import ablate, ablation_table, table_models
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.recipe import Recipe, get_recipe, override
 from mobilestereonet.training.run import RunData
-from mobilestereonet.weights import load_weights
+from mobilestereonet.weights import load_model
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 MODELS = ["table3a-v1-v1", "table3a-v1-v2"]
@@ -65,7 +65,7 @@ def test_two_networks(tmp_path, monkeypatch):
     scenes = RunData(recipe, 0).validation("cpu")
     for row in rows:
         run = tmp_path / row.model
-        net = load_weights(run / "weights.safetensors")
+        net = load_model(run / "weights.safetensors")
         errors = []
         for index in range(2):
             scene = scenes[index]

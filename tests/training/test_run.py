@@ -15,7 +15,7 @@ from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import RunData, train
-from mobilestereonet.weights import load_weights, save_weights
+from mobilestereonet.weights import load_model, save_weights
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 RECIPE = Recipe(
@@ -49,8 +49,12 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
     figures = (folder / "csv" / "version_0" / "metrics.csv").read_text()
     assert sum(bool(row["val/epe"]) for row in csv.DictReader(figures.splitlines())) == 1
     weights = load_file(folder / "weights.safetensors")
-    saved = load_weights(folder / "weights.safetensors").state_dict()
+    saved = load_model(folder / "weights.safetensors").state_dict()
     for name, value in module.net.named_parameters():
+        assert torch.equal(saved[name], value.half().float()), name
+    of_checkpoint = load_model(folder / "last.ckpt")
+    assert of_checkpoint.config == load_model(folder).config
+    for name, value in of_checkpoint.named_parameters():
         assert torch.equal(saved[name], value.half().float()), name
 
     with pytest.raises(InputError, match="holds a run already"):
@@ -109,7 +113,7 @@ def test_a_coarse_pass_starts_from_weights_without_one(tmp_path):
     recipe = replace(RECIPE, model="table3b-v1-v2", weights=str(initial), steps=1, augment=crop)
     _train(tmp_path / "coarse", replace(recipe, coarse_pass=True))
     coarse = str(tmp_path / "coarse/weights.safetensors")
-    assert load_weights(coarse).config.coarse_pass
+    assert load_model(coarse).config.coarse_pass
     with pytest.raises(InputError, match=r"add --set model=table3b-v1-v2 --set coarse_pass=true$"):
         _train(tmp_path / "plain", replace(recipe, weights=coarse))
 

@@ -4,14 +4,13 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
-from short_run import fit, save_teacher
+from mobilestereonet.nets.normalise import normalise
 from torch.utils.data import Dataset
 
 from mobilestereonet import InputError, create_model
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import TrainingBatch, TrainingPairs
 from mobilestereonet.training.losses import distillation_sum
@@ -19,6 +18,7 @@ from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
 from mobilestereonet.training.teacher import Teacher
+from short_run import fit, save_teacher
 
 RECIPE = Recipe(
     model="table3a-v1-v1", max_disparity=32, steps=3, full_heads=1, cross_entropy=5.0, clip=1.0
@@ -69,8 +69,10 @@ def test_another_range_of_disparities_is_refused(weights):
 
 
 def test_what_is_no_weights_is_named():
-    message = "teacher msnet2D: neither embedded weights .*msnet2d.* nor a weights file"
+    message = r"teacher no\.pth: neither embedded weights .*msnet2d.* nor a weights file"
     with pytest.raises(FileNotFoundError, match=message):
+        Teacher("no.pth", create_model("msnet2d").config)
+    with pytest.raises(InputError, match="unknown model 'msnet2D': did you mean msnet2d"):
         Teacher("msnet2D", create_model("msnet2d").config)
     with pytest.raises(InputError, match=r"a teacher needs cross_entropy > 0, .* got 0\.0"):
         Recipe(steps=1, teacher="msnet2d")

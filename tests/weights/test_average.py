@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from mobilestereonet import InputError, create_model, save_weights
-from mobilestereonet.weights import average_weights, load_weights
+from mobilestereonet.weights import average_weights, load_model
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def files(tmp_path):
 
 
 def test_every_weight_is_the_mean(files):
-    first, second = (load_weights(path).state_dict() for path in files[:2])
+    first, second = (load_model(path).state_dict() for path in files[:2])
     found = average_weights([files[0], files[1], files[1], files[1]])
     assert not found.training
     for name, value in found.state_dict().items():
@@ -28,10 +28,10 @@ def test_every_weight_is_the_mean(files):
 
 def test_command(msnet, files, tmp_path):
     output = tmp_path / "mean.safetensors"
-    code, out, _ = msnet("average", *files[:2], "-o", output)
+    code, out, _ = msnet("average", *files[:2], "-o", output, "--half")
     assert (code, out) == (0, f"{output}: mean of 2 networks\n")
     expected = average_weights(files[:2]).state_dict()
-    for name, value in load_weights(output).state_dict().items():
+    for name, value in load_model(output).state_dict().items():
         torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-3)  # half precision
 
 

@@ -1,14 +1,11 @@
 import json
-from pathlib import Path
 
 import pytest
 import torch
 from safetensors import safe_open
-from safetensors.torch import load, save_file
+from safetensors.torch import load, load_file, save_file
 
-from mobilestereonet import InputError, create_model, load_weights, save_weights, weights
-from mobilestereonet.nets import model_config
-from mobilestereonet.weights import files
+from mobilestereonet import InputError, create_model, load_model, save_weights
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 
@@ -26,41 +23,63 @@ def net():
     return net
 
 
-def test_round_trip_in_half_precision(net, tmp_path):
+def test_a_saved_network_is_the_same_when_loaded(net, tmp_path):
     path = tmp_path / "new" / "net.safetensors"
     save_weights(net, path)
-    loaded = load_weights(path)
+    loaded = load_model(path)
     assert loaded.config == net.config
     assert not loaded.training
     saved, own = loaded.state_dict(), net.state_dict()
+    assert saved.keys() == own.keys()
+    for name, value in own.items():
+        assert saved[name].equal(value), name
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_half_precision_on_request(net, tmp_path):
+    path = tmp_path / "net.safetensors"
+    save_weights(net, path, dtype=torch.float16)
+    saved = load_model(path).state_dict()
     for name, value in net.named_parameters():
         assert saved[name].dtype == torch.float32
         assert saved[name].equal(value.half().float()), name
     for name, value in net.named_buffers():
         assert saved[name].equal(value), name
-    assert saved.keys() == own.keys()
     parameters = sum(value.numel() for value in net.parameters())
     buffers = sum(v.numel() for n, v in net.named_buffers() if v.is_floating_point())
     assert path.stat().st_size < 2 * parameters + 4 * buffers + 100_000  # the header
-    assert list(path.parent.iterdir()) == [path]
 
 
-def test_single_precision_is_exact(net, tmp_path):
-    path = tmp_path / "net.safetensors"
-    save_weights(net, path, dtype=torch.float32)
-    state = load_weights(path).state_dict()
-    assert all(state[name].equal(value) for name, value in net.state_dict().items())
+def test_every_parameter_keeps_its_own_precision(tmp_path):
+    net = create_model("msnet2d", **SMALL).double()
+    net.heads[0].score.weight.data = net.heads[0].score.weight.data.bfloat16()
+    save_weights(net, tmp_path / "net.safetensors")
+    saved = load_file(tmp_path / "net.safetensors")
+    assert saved["heads.0.score.weight"].dtype == torch.bfloat16
+    assert saved["heads.1.score.weight"].dtype == torch.float64
+    assert saved["heads.1.score.weight"].equal(net.heads[1].score.weight)
 
 
 def test_file_describes_itself(net, tmp_path):
     path = tmp_path / "net.safetensors"
     save_weights(net, path, card={"data": "procedural", "licence": "Apache-2.0"})
     with safe_open(path, framework="pt") as file:
-        config = json.loads(file.metadata()["config"])
+        metadata = file.metadata()
+    config = json.loads(metadata["config"])
+    assert metadata["model"] == "msnet2d"
     assert config["dims"] == 2
     assert config["max_disparity"] == 32
     assert config["cost_volume"] == "interlaced-4"
     assert json.loads(path.with_suffix(".json").read_text())["licence"] == "Apache-2.0"
+
+
+def test_files_that_name_no_network_are_of_the_first_family(net, tmp_path):
+    path = tmp_path / "net.safetensors"
+    save_weights(net, path)
+    with safe_open(path, framework="pt") as file:
+        config = file.metadata()["config"]
+    save_file(load_file(path), path, {"config": config})
+    assert load_model(path).config == net.config
 
 
 def test_what_cannot_be_saved_leaves_no_file(net, tmp_path):
@@ -70,14 +89,8 @@ def test_what_cannot_be_saved_leaves_no_file(net, tmp_path):
     with torch.no_grad():
         huge.heads[0].score.weight[0] = 70_000  # float16 ends at 65504
     with pytest.raises(InputError, match=r"heads\.0\.score\.weight is not finite as torch.float16"):
-        save_weights(huge, tmp_path / "net.safetensors", card={})
+        save_weights(huge, tmp_path / "net.safetensors", card={}, dtype=torch.float16)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_authors_checkpoints_are_told_by_their_ending(tmp_path):
-    (tmp_path / "model.tar").write_bytes(b"no checkpoint")
-    with pytest.raises(InputError, match="not a readable PyTorch checkpoint"):
-        load_weights(tmp_path / "model.tar")
 
 
 def test_damaged_and_foreign_files(net, tmp_path):
@@ -90,50 +103,30 @@ def test_damaged_and_foreign_files(net, tmp_path):
 
     def message():
         with pytest.raises(InputError, match=r"net\.safetensors: ") as caught:
-            load_weights(path)
+            load_model(path)
         assert "\n" not in str(caught.value)
         return str(caught.value)
 
     for content in (whole[: len(whole) // 2], whole[:5], b"", b"\x89PNG" * 1000):
         path.write_bytes(content)
         assert "not a whole safetensors file" in message()
-    save_file(state, path)
-    assert "no network config" in message()
-    for config in ('{"dims": 2, "colour": "red"}', '{"dims": 4}', "{", '{"dims": 2, "width": "x"}'):
+    save_file({"weight": torch.zeros(3)}, path)
+    assert "such as 'weight', are those of no registered network" in message()
+    for config in ('{"dims": 2, "colour": "red"}', '{"dims": 4}', '{"dims": 2, "width": "x"}'):
         save_file(state, path, {"config": config})
         assert "does not fit this version" in message()
+    for config in ("{", "[]", "3"):
+        save_file(state, path, {"config": config})
+        assert "network config is no JSON" in message()
     lacking = {name: value for name, value in state.items() if name != "heads.1.score.weight"}
     save_file(lacking, path, metadata)
-    assert "1 tensors do not fit" in message()
-    assert "heads.1.score.weight" in message()
+    assert "1 tensors do not fit msnet2d, such as: heads.1.score.weight is missing" in message()
+    save_file(state | {"more": torch.zeros(3)}, path, metadata)
+    assert "more is unknown" in message()
     save_file(state | {"heads.1.score.weight": torch.zeros(3)}, path, metadata)
-    assert "heads.1.score.weight" in message()
+    assert "heads.1.score.weight has shape (3,), not (8, 8, 3, 3)" in message()
+    state["heads.1.score.weight"][0] = torch.nan
+    save_file(state, path, metadata)
+    assert "heads.1.score.weight is not finite" in message()
     with pytest.raises(FileNotFoundError, match="absent"):
-        load_weights(tmp_path / "absent.safetensors")
-
-
-def test_embedded_weights(net, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_EMBEDDED", tmp_path)
-    assert weights.embedded_models() == []
-    with pytest.raises(InputError, match="no weights of 'msnet2d' come with the package"):
-        weights.load_pretrained("msnet2d")
-    save_weights(net, tmp_path / "msnet2d.safetensors", card={"steps": 3})
-    assert weights.embedded_models() == ["msnet2d"]
-    assert weights.load_pretrained("msnet2d").config == net.config
-    assert weights.open_weights(Path("msnet2d")).config == net.config
-    with pytest.raises(FileNotFoundError, match=r"msnet3d: neither embedded weights \(msnet2d\)"):
-        weights.open_weights("msnet3d")
-    with pytest.raises(FileNotFoundError, match="msnet2d: no such weights file"):
-        weights.load_weights("msnet2d")
-    assert weights.card("msnet2d") == {"steps": 3}
-    with pytest.raises(InputError, match=r"no weights of 'baseline3d' .*msnet2d"):
-        weights.card("baseline3d")
-    with pytest.raises(InputError, match=r"unknown model 'msnet2'.*msnet2d"):
-        weights.load_pretrained("msnet2")
-
-
-def test_every_embedded_model_loads_and_has_a_card():
-    for name in weights.embedded_models():
-        net = weights.load_pretrained(name)
-        assert net.config == model_config(name, estimator="mode", coarse_pass=name == "msnet3d")
-        assert weights.card(name)["licence"] == "Apache-2.0"
+        load_model(tmp_path / "absent.safetensors")

@@ -10,14 +10,22 @@ import typer
 
 def average(
     weights: Annotated[
-        list[Path], typer.Argument(help="Weights files or names of embedded weights.")
+        list[str],
+        typer.Argument(help="Weights files, checkpoints or names of embedded weights."),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File to write, ends in .safetensors.")
     ],
+    model: Annotated[
+        str | None, typer.Option(help="Their network, where the files do not tell.")
+    ] = None,
+    half: Annotated[bool, typer.Option(help="Write half precision, half the size.")] = False,
 ) -> None:
     """Average weights, such as those of several stages of one training."""
+    import torch
+
     from mobilestereonet.weights import average_weights, save_weights
 
-    save_weights(average_weights(weights), output)
+    mean = average_weights(weights, model=model)
+    save_weights(mean, output, dtype=torch.float16 if half else None)
     print(f"{output}: mean of {len(weights)} networks")

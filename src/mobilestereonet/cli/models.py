@@ -2,20 +2,99 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated, Any
 
-def models() -> None:
-    """List the named networks: which ones have weights in the package, and their parameters."""
+import typer
+
+if TYPE_CHECKING:
+    from mobilestereonet.nets import ModelInfo
+
+_ABLATIONS = ("table*", "appendix*")
+"""Names of the rows of the paper's tables: many, each of interest beside its table alone."""
+
+
+def models(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="A network or a version of its weights to describe, or a pattern."),
+    ] = None,
+) -> None:
+    """List the networks, those with weights in the package first, or describe one of them.
+
+    A pattern such as ``'table3b-*'`` lists what matches it.
+    """
+    from mobilestereonet.errors import InputError
+    from mobilestereonet.nets import list_models, model_info
+
+    if name is not None and not any(sign in name for sign in "*?["):
+        model = name.partition(".")[0] if name.partition(".")[0] in list_models() else name
+        _describe(name, model_info(model))
+        return
+    names = list_models(name or "*")
+    if not names:
+        raise InputError(f"no network's name matches {name}: `msnet models` lists all")
+    rows = {row for pattern in _ABLATIONS for row in list_models(pattern)} if name is None else ()
+    _list([found for found in names if found not in rows])
+    if rows:
+        print("rows of the paper's tables (parameters: msnet models 'table*'):")
+        print(", ".join(found for found in names if found in rows))
+    print("`msnet predict` and `msnet demo` also take sgbm, OpenCV's semi-global matching")
+
+
+def _list(names: list[str]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from mobilestereonet.nets import build_model, list_models
-    from mobilestereonet.weights import embedded_models
+    from mobilestereonet.nets import model_info
+    from mobilestereonet.weights import count_parameters, embedded_versions
 
-    embedded = embedded_models()
-    table = Table("name", "weights")
+    table = Table("name", "embedded weights")
     table.add_column("parameters, M", justify="right")
-    for name in list_models():
-        parameters = sum(parameter.numel() for parameter in build_model(name).parameters())
-        table.add_row(name, "embedded" if name in embedded else "", f"{parameters / 1e6:.3f}")
+    table.add_column("paper")
+    for name in sorted(names, key=lambda name: not embedded_versions(name)):
+        tags = ", ".join(version.partition(".")[2] for version in embedded_versions(name))
+        table.add_row(name, tags, f"{count_parameters(name) / 1e6:.3f}", model_info(name).paper)
     Console().print(table)
-    print("`msnet predict` and `msnet demo` also take sgbm, OpenCV's semi-global matching")
+
+
+def _describe(name: str, info: ModelInfo) -> None:
+    """Print what the registry, and the card of the embedded weights, know about a network."""
+    from dataclasses import asdict
+
+    from mobilestereonet.weights import card, count_parameters, embedded_versions
+
+    embedded = name != info.name or embedded_versions(info.name)
+    content = card(name) if embedded else None
+    values = ", ".join(f"{key}={value}" for key, value in asdict(info.config).items())
+    facts = {
+        "network": info.name,
+        "paper": info.paper,
+        "published": ", ".join(f"{what} {value}" for what, value in info.published.items()),
+        "parameters": f"{count_parameters(info.name):,}",
+        "config": values,
+        "public checkpoints": info.checkpoints,
+        "trained on": info.trained_on,
+        "their licence": info.licence,
+        "embedded weights": ", ".join(embedded_versions(info.name)) or "none",
+    }
+    print("\n".join(f"{key}: {value}" for key, value in facts.items() if value))
+    if content is not None:
+        _print_card(content)
+
+
+def _print_card(card: dict[str, Any]) -> None:
+    training, metrics = card.get("training", {}), card.get("metrics", {})
+    config = ", ".join(f"{key}={value}" for key, value in card.get("config", {}).items())
+    facts = {
+        "date": card.get("date"),
+        "licence": card.get("licence"),
+        "config": config,
+        "trained on": training.get("data"),
+        "steps": training.get("steps"),
+        "preprocessing": card.get("preprocessing"),
+        "measured by": metrics.get("protocol"),
+    }
+    print(f"\n{card.get('model')}.{card.get('version')}")
+    print("\n".join(f"  {key}: {value}" for key, value in facts.items() if value))
+    for row in metrics.get("pairs", ()):
+        print("  {pair}: EPE {epe_px} px, D1 {d1_percent} %".format(**row))

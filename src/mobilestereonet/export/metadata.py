@@ -8,7 +8,7 @@ import mobilestereonet
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel
 from mobilestereonet.nets.model import IMAGENET
-from mobilestereonet.weights import card, embedded_models
+from mobilestereonet.weights import card, is_embedded
 
 
 def describe(
@@ -26,7 +26,7 @@ def describe(
     Returns:
         Texts by key.
     """
-    known = embedded and model in embedded_models()
+    known = embedded and is_embedded(model)
     return {
         "model": model,
         "package": f"mobilestereonet {mobilestereonet.__version__}",

@@ -24,10 +24,10 @@ from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
-from mobilestereonet.nets import StereoModel, is_model, model_name
+from mobilestereonet.nets import StereoModel, model_name
 from mobilestereonet.nets.model import IMAGENET
 from mobilestereonet.plots import to_picture
-from mobilestereonet.weights import embedded_models, load_pretrained, load_weights
+from mobilestereonet.weights import load_model
 
 DEFAULT_MODEL = "msnet2d"
 
@@ -340,16 +340,6 @@ def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, 
     """
     if weights is None:
         model = model or DEFAULT_MODEL
-        return model, load_pretrained(model)
-    if str(weights) in embedded_models():
-        raise InputError(
-            f"{weights} names embedded weights: choose them as model, --model {weights}, "
-            "without a weights file"
-        )
-    net = load_weights(weights)
-    config = net.config
-    if model is not None and not is_model(config, model):
-        raise InputError(
-            f"{weights}: holds a {model_name(config)} network, not {model}: leave the model out"
-        )
-    return model or model_name(config), net
+        return model, load_model(model)
+    net = load_model(weights, model=model)
+    return model or model_name(net.config), net

@@ -18,7 +18,7 @@ import numpy as np
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.scenes import SceneConfig
-from mobilestereonet.weights import embedded_models
+from mobilestereonet.weights import is_embedded
 
 _PLACES = {"root", "textures"}
 """Values that say where the data lie, not what they are."""
@@ -39,7 +39,7 @@ class Recipe:
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
         root: Folder of the data set; None for procedural scenes.
         textures: Folder of photographs for procedural scenes.
-        weights: Weights to start from instead of fresh ones, see `open_weights`; read at the start
+        weights: Weights to start from instead of fresh ones, see `load_model`; read at the start
             only, not on resumption.
         data_options: Options of the data set's scanner, such as its split.
         val_options: The same for validation; None validates on procedural scenes.
@@ -147,7 +147,7 @@ class Recipe:
         """The same recipe, which finds its files from any folder."""
         paths = {"root": self.root, "textures": self.textures}
         by_name = {"weights": self.weights, "teacher": self.teacher}
-        paths |= {key: name for key, name in by_name.items() if name not in embedded_models()}
+        paths |= {key: name for key, name in by_name.items() if name and not is_embedded(name)}
         given = {key: Path(path) for key, path in paths.items() if path is not None}
         return override(self, {key: str(path.resolve()) for key, path in given.items()})
 

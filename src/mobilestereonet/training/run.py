@@ -41,7 +41,7 @@ from mobilestereonet.training.callbacks import (
 )
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.weights import open_weights, save_weights
+from mobilestereonet.weights import load_model, save_weights
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""
@@ -306,7 +306,7 @@ def train(
         # Lightning does it as well, but not where a resumed run had no step left.
         average.on_train_end(trainer, module)
     if trainer.is_global_zero:
-        save_weights(cast(StereoNet, module.net), folder / "weights.safetensors")
+        save_weights(module.net, folder / "weights.safetensors", dtype=torch.float16)
     done = trainer.global_step
     rank_zero_info(
         f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
@@ -322,7 +322,7 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
 
 
 def _load_initial(module: StereoModule, weights: str) -> None:
-    net, model = open_weights(weights), module.recipe.model
+    net, model = load_model(weights), module.recipe.model
     state = net.state_dict()
     if module.recipe.coarse_pass and not net.config.coarse_pass:
         state["guide.weight"] = cast(StereoNet, module.net).guide.weight.detach()

@@ -13,7 +13,7 @@ from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import IMAGENET, VolumeModel
-from mobilestereonet.weights import open_weights
+from mobilestereonet.weights import load_model
 
 
 class Teacher:
@@ -31,7 +31,7 @@ class Teacher:
 
     def __init__(self, weights: str, student: Any) -> None:
         try:
-            self.net = open_weights(weights)
+            self.net = load_model(weights)
         except FileNotFoundError as error:
             raise FileNotFoundError(
                 f"teacher {error}: set teacher to one of these, or to where the file is now"

@@ -1,19 +1,15 @@
-"""The authors' released checkpoints: their key names, and a loader."""
+"""The authors' released checkpoints: their names of tensors, translated to ours."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, cast
-
-import torch
-from torch import Tensor
+from typing import Any
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import build_model
-from mobilestereonet.nets.msnet import StereoNet
-from mobilestereonet.nets.msnet_config import NetConfig
+from mobilestereonet.nets import model_config
+from mobilestereonet.weights.checkpoints import strip_prefixes
+from mobilestereonet.weights.files import COUNTER, WeightsFile
+from mobilestereonet.weights.shapes import registered_shapes
 
 _PREFIXES = (
     (r"features\.first\.(\d)\.0\.", "feature_extraction.firstconv.{0}."),
@@ -29,10 +25,17 @@ _PREFIXES = (
     (r"heads\.(\d)\.conv\.", "classif{0}.0."),
     (r"heads\.(\d)\.score\.", "classif{0}.2."),
 )
+_MARK = "feature_extraction."
+"""Names in the authors' checkpoints begin with it, those in ours never do."""
 
 
-def authors_key(key: str, config: NetConfig) -> str:
-    """The authors' name for a key of our state dict, for networks made of v2 blocks."""
+def authors_key(key: str, config: Any) -> str:
+    """The authors' name for a name in our state dict, for networks made of v2 blocks.
+
+    Args:
+        key: Our name.
+        config: Config of an MSNet network.
+    """
     # Their indices count the activations between the layers, ours don't.
     relu = 2 if config.v2_relu else 1
     scale = {"firstconv": relu, "dres0": relu, "dres1": relu, "preconv11": 2, "conv3d": 3}
@@ -49,53 +52,28 @@ def authors_key(key: str, config: NetConfig) -> str:
     raise AssertionError(f"no rule for {key}")
 
 
-def _read_state(path: Path) -> dict[str, Tensor]:
-    """State dict of a checkpoint, without the authors' wrapper and DataParallel's prefix."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such weights file")
-    try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise InputError(
-            f"{path}: not a readable PyTorch checkpoint: {error}".split("\n")[0]
-        ) from error
-    if isinstance(content, Mapping) and isinstance(content.get("model"), Mapping):
-        content = content["model"]
-    if not isinstance(content, Mapping) or not all(
-        isinstance(key, str) and isinstance(value, Tensor) for key, value in content.items()
-    ):
-        raise InputError(f"{path}: holds no state dict: expected the authors' {{'model': ...}}")
-    return {key.removeprefix("module."): value for key, value in content.items()}
+def from_authors(weights: WeightsFile) -> WeightsFile:
+    """Translate a checkpoint of the authors' release; any other is given back as it is.
 
-
-def load_authors_checkpoint(path: str | Path) -> StereoNet:
-    """Read a checkpoint of the authors' release.
-
-    Args:
-        path: Their file: ``{"model": {"module.<key>": tensor}}``, or the state dict alone, with or
-            without the prefix. Read with ``weights_only=True``.
-
-    Returns:
-        `msnet2d` or `msnet3d-authors`, told from the keys, in eval mode, float32.
+    Theirs is ``{"model": {"module.<name>": tensor}}``, or the state dict alone, with or without
+    the prefix: `msnet2d` or `msnet3d-authors`, told from the names.
 
     Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If it is no checkpoint, or its keys or shapes are not those of either network.
+        InputError: If the names begin like theirs, but are not those of either network.
     """
-    path = Path(path)
-    state = _read_state(path)
+    state = strip_prefixes(weights.state, (_MARK,))
+    if not any(key.startswith(_MARK) for key in state):
+        return weights
     name = "msnet2d" if any(key.startswith("preconv11.") for key in state) else "msnet3d-authors"
-    net = cast(StereoNet, build_model(name)).eval()
-    expected = {authors_key(key, net.config): key for key in net.state_dict()}
+    config = model_config(name)
+    expected = {authors_key(key, config): key for key in registered_shapes(name)}
+    state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
     missing, unknown = expected.keys() - state.keys(), state.keys() - expected.keys()
     if missing or unknown:
         example = min(missing or unknown)
         raise InputError(
-            f"{path}: not the authors' {name.removesuffix('-authors')}: {len(missing)} keys "
-            f"missing, {len(unknown)} unknown, such as {example!r}"
+            f"{weights.source}: not the authors' {name.removesuffix('-authors')}: {len(missing)} "
+            f"keys missing, {len(unknown)} unknown, such as {example!r}"
         )
-    try:
-        net.load_state_dict({ours: state[theirs] for theirs, ours in expected.items()})
-    except RuntimeError as error:
-        raise InputError(f"{path}: shapes differ from {name}: {error}".replace("\n", " ")) from None
-    return net
+    translated = {own: state[theirs] for theirs, own in expected.items()}
+    return WeightsFile(weights.source, translated, name)

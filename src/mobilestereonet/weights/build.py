@@ -1,0 +1,178 @@
+"""From the content of a weights file to the network that it holds."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import (
+    StereoModel,
+    build_model,
+    is_model,
+    list_models,
+    model_config,
+    model_name,
+)
+from mobilestereonet.weights.checkpoints import strip_prefixes
+from mobilestereonet.weights.files import COUNTER, WeightsFile
+from mobilestereonet.weights.shapes import registered_shapes, shapes
+
+_RESEMBLANCE = 0.5
+"""Share of the tensors that fit, from which on a network is worth naming."""
+
+
+def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any]) -> StereoModel:
+    """Build the network of a weights file and load its state.
+
+    Args:
+        weights: Content of the file.
+        model: Name or class reference of the network, where the file does not tell; or to check.
+        overrides: Values of the network's config that replace those of the file.
+
+    Returns:
+        The network in eval mode, float32.
+
+    Raises:
+        InputError: If the file does not tell the network and ``model`` is None, holds another
+            network than ``model``, or its tensors do not fit or are not finite.
+    """
+    name = _network_name(weights, model)
+    model_config(name)  # an unknown name has an error of its own
+    values = _config_values(name, weights.config)
+    try:
+        config = model_config(name, **values)
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{weights.source}: its network config does not fit this version: {error}"
+        ) from None
+    if model is not None and weights.model is not None and not is_model(config, model):
+        held = model_name(config)
+        if held == "custom":
+            held = f"a variant of {name} ({config_differences(config, model_config(name))})"
+        raise InputError(f"{weights.source}: holds {held}, not {model}: leave the model out")
+    net = build_model(name, **(values | overrides)).float().eval()
+    own = net.state_dict()
+    state = strip_prefixes(weights.state, own)
+    if shapes(state) != shapes(own):
+        raise InputError(f"{weights.source}: {_misfit(state, shapes(own), name, overrides)}")
+    for key, value in state.items():
+        if not value.isfinite().all():
+            raise InputError(
+                f"{weights.source}: {key} is not finite: the training diverged, or the file is "
+                "corrupted; take an earlier checkpoint"
+            )
+    counters = {key: value for key, value in own.items() if key.endswith(COUNTER)}
+    net.load_state_dict(counters | state)
+    return net
+
+
+def _network_name(weights: WeightsFile, model: str | None) -> str:
+    """Which network a file holds, so that the config in the file has its class."""
+    held = weights.model
+    if held is None:
+        return model or _fitting_network(weights)
+    if model is not None:
+        model_config(model)  # a class of the user's own may register the name
+    known = [name for name in list_models() if Path(name).name == held]
+    if known:
+        return known[-1]
+    if model is None:
+        raise InputError(
+            f"{weights.source}: holds {held}, which is none of the registered networks: import "
+            "the module that registers it, or give the class, such as --model "
+            f"{held if ':' in held else 'my_net.py:MyNet'} (that file is not run unasked)"
+        )
+    if ":" in held and held.rpartition(":")[2] != model.rpartition(":")[2]:
+        raise InputError(f"{weights.source}: holds {held}, not {model}")
+    return model
+
+
+def _fitting_network(weights: WeightsFile) -> str:
+    """The one registered network that a state dict without a name fits."""
+    fitting = [name for name in list_models() if _fits(weights.state, name)]
+    configs = [model_config(name) for name in fitting]
+    if not fitting:
+        raise InputError(
+            f"{weights.source}: {_unlike(weights.state)}: name its network, such as --model "
+            f"{_resembling(weights.state) or 'my_net.py:MyNet'}"
+        )
+    if any(config != configs[0] for config in configs):
+        raise InputError(
+            f"{weights.source}: fits {' and '.join(fitting)} alike: choose one, such as --model "
+            f"{fitting[0]}"
+        )
+    return fitting[0]
+
+
+def _config_values(name: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Values of a config from JSON, which has lists where the config has tuples."""
+    default = model_config(name)
+    return {
+        key: tuple(value) if isinstance(getattr(default, key, None), tuple) else value
+        for key, value in values.items()
+    }
+
+
+def _misfit(
+    state: dict[str, Tensor],
+    expected: dict[str, torch.Size],
+    name: str,
+    overrides: dict[str, Any],
+) -> str:
+    """Why tensors do not fit a network, in words."""
+    found = shapes(state)
+    wrong = {key for key, _ in found.items() ^ expected.items()}
+    key = min(wrong)
+    if key not in found:
+        example = f"{key} is missing"
+    elif key not in expected:
+        example = f"{key} is unknown"
+    else:
+        example = f"{key} has shape {tuple(found[key])}, not {tuple(expected[key])}"
+    text = f"{len(wrong)} tensors do not fit {name}, such as: {example}"
+    if overrides:
+        given = ", ".join(f"{key}={value!r}" for key, value in overrides.items())
+        return f"{text}, with {given}: leave out what these weights were not trained with"
+    like = _resembling(state, better_than=_likeness(state, expected))
+    return text + (f"; they resemble {like}" if like is not None else "")
+
+
+def _unlike(state: dict[str, Tensor]) -> str:
+    like = _resembling(state)
+    if like is None:
+        return f"its tensors, such as {min(state)!r}, are those of no registered network"
+    expected = registered_shapes(like)
+    return _misfit(strip_prefixes(state, expected), expected, like, {})
+
+
+def _fits(state: dict[str, Tensor], name: str) -> bool:
+    expected = registered_shapes(name)
+    return shapes(strip_prefixes(state, expected)) == expected
+
+
+def _resembling(state: dict[str, Tensor], better_than: float = 0.0) -> str | None:
+    """The registered network that a state dict is most like; None if it is like none."""
+    likeness = {name: _likeness(state, registered_shapes(name)) for name in list_models()}
+    best = max(likeness, key=lambda name: likeness[name])
+    return best if likeness[best] > max(better_than, _RESEMBLANCE) else None
+
+
+def _likeness(state: dict[str, Tensor], expected: dict[str, torch.Size]) -> float:
+    """Share of the tensors, of both sides together, that have the same name and shape."""
+    found = shapes(strip_prefixes(state, expected))
+    both = len(found.items() & expected.items())
+    return both / (len(found) + len(expected) - both)
+
+
+def config_differences(config: Any, other: Any) -> str:
+    """Values that two configs do not share, in words."""
+    if type(config) is not type(other):
+        return f"{type(config).__name__}, not {type(other).__name__}"
+    names = (part.name for part in fields(config))
+    pairs = ((name, getattr(config, name), getattr(other, name)) for name in names)
+    return ", ".join(f"{name} {one}, not {two}" for name, one, two in pairs if one != two)

@@ -1,0 +1,89 @@
+"""The Hugging Face Hub's layout of a model: a folder to write, to read and to download."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mobilestereonet.atomic import write_atomically
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import StereoModel
+from mobilestereonet.weights.files import model_reference, save_weights, write_json
+
+
+def download(repository: str, revision: str | None) -> Path:
+    """Folder of a model on the hub, from the hub's own cache where it is there already.
+
+    Args:
+        repository: "organisation/name".
+        revision: Branch, tag or commit; None takes the main branch.
+
+    Raises:
+        InputError: If the extra ``hub`` is not installed, or the hub cannot be reached or has no
+            such model.
+    """
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError:
+        raise InputError(
+            f"{repository}: no such file or folder here; to read it from the Hugging Face Hub, "
+            'pip install "mobilestereonet[hub]"'
+        ) from None
+    try:
+        folder = snapshot_download(
+            repository, revision=revision, allow_patterns=["*.json", "*.safetensors", "*.md"]
+        )
+    except Exception as error:  # of its own, of its HTTP client, of the network
+        at = f" at {revision}" if revision else ""
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise InputError(
+            f"{repository}{at}: no such file or folder here, and not read from the Hugging Face "
+            f"Hub: {reason}"
+        ) from error
+    return Path(folder)
+
+
+def save_pretrained(
+    net: StereoModel, folder: str | Path, *, card: dict[str, Any] | None = None
+) -> None:
+    """Write a network as a folder in the Hugging Face Hub's layout, which `load_model` reads.
+
+    Args:
+        net: The network, of any architecture.
+        folder: Gets ``config.json``, ``model.safetensors`` and ``README.md``; made if need be.
+        card: The weights' card as `save_weights` takes it, such as ``card("msnet2d")``: it goes
+            into ``README.md`` in words, and whole into ``card.json``.
+
+    Raises:
+        InputError: If a weight is not finite.
+    """
+    folder = Path(folder)
+    save_weights(net, folder / "model.safetensors")
+    record = {"model": model_reference(net), "config": asdict(net.config)}
+    write_json(folder / "config.json", record | {"preprocessing": asdict(net.preprocessing)})
+    if card is not None:
+        write_json(folder / "card.json", card)
+    text = model_page(record["model"], card or {})
+    write_atomically(folder / "README.md", lambda file: file.write_text(text, "utf-8"))
+
+
+def model_page(model: str, card: dict[str, Any]) -> str:
+    """A model card as a page, with the head that the hub reads."""
+    licence = card.get("licence")
+    head = ["library_name: mobilestereonet", "pipeline_tag: depth-estimation"]
+    head += [f"license: {licence.lower()}"] if licence else []
+    lines = ["---", *head, "tags: [stereo-matching]", "---", f"# {card.get('model', model)}", ""]
+    lines += [f"Stereo matching network `{model}` of the Python package mobilestereonet.", ""]
+    lines += ["```python", "from mobilestereonet import StereoMatcher", ""]
+    lines += ['matcher = StereoMatcher.from_pretrained("path/to/this/folder")', "```", ""]
+    lines += [f"- Licence: {licence or 'not stated'}"]
+    lines += [f"- Version: {card['version']}, {card['date']}"] if "version" in card else []
+    training, metrics = card.get("training", {}), card.get("metrics", {})
+    lines += [f"- Trained on: {training['data']}"] if "data" in training else []
+    lines += [f"- Training: {training['steps']} steps"] if "steps" in training else []
+    if metrics.get("pairs"):
+        lines += ["", f"Accuracy ({metrics.get('protocol', 'protocol not stated')}):", ""]
+        lines += ["| pair | EPE, px | D1, % |", "| --- | --- | --- |"]
+        lines += ["| {pair} | {epe_px} | {d1_percent} |".format(**row) for row in metrics["pairs"]]
+    return "\n".join(lines) + "\n"

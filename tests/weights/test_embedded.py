@@ -1,0 +1,104 @@
+import pytest
+import torch
+
+from mobilestereonet import InputError, create_model, load_model, save_weights, weights
+from mobilestereonet.nets import is_model, model_config
+from mobilestereonet.weights import embedded
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder in place of the package's."""
+    monkeypatch.setattr(embedded, "_FOLDER", tmp_path)
+    return tmp_path
+
+
+def test_a_name_is_its_newest_version(folder):
+    assert weights.embedded_models() == []
+    with pytest.raises(InputError, match=r"no weights of 'msnet2d' come .* \(of none, they do\)"):
+        load_model("msnet2d")
+    versions = [("indoor-9", "2026-01-03", 32), ("outdoor-1", "2026-02-01", 48)]
+    versions += [("outdoor-10", "2026-02-01", 64), ("outdoor-9", "2026-02-01", 80)]
+    for tag, date, disparities in versions:
+        net = create_model("msnet2d", max_disparity=disparities, width=8, hourglasses=1)
+        save_weights(net, folder / f"msnet2d.{tag}.safetensors", card={"date": date, "tag": tag})
+    assert weights.embedded_models() == ["msnet2d"]
+    names = ["msnet2d.indoor-9", "msnet2d.outdoor-1", "msnet2d.outdoor-9", "msnet2d.outdoor-10"]
+    assert weights.embedded_versions("msnet2d") == names
+    assert weights.card("msnet2d")["tag"] == "outdoor-10"
+    assert weights.card("msnet2d.indoor-9")["tag"] == "indoor-9"
+    assert load_model("msnet2d").max_disparity == 64
+    assert load_model("msnet2d.indoor-9").max_disparity == 32
+    assert create_model("msnet2d.outdoor-9", pretrained=True).max_disparity == 80
+    for call in (load_model, weights.card, lambda name: create_model(name, pretrained=True)):
+        with pytest.raises(InputError, match=r"no version 'msnet2d.outdoor-2' .*: only msnet2d.in"):
+            call("msnet2d.outdoor-2")
+        with pytest.raises(InputError, match=r"no weights of 'baseline3d' .*\(of msnet2d, they do"):
+            call("baseline3d")
+        with pytest.raises(InputError, match=r"unknown model 'msnet2'.*msnet2d"):
+            call("msnet2")
+
+
+def test_a_revision_of_embedded_weights_is_a_name():
+    with pytest.raises(InputError, match=r"revision='v2' is of the hub.*msnet2d\.procedural-1"):
+        load_model("msnet2d", revision="v2")
+
+
+def test_embedded_weights_are_checked_against_the_model_and_take_other_values():
+    with pytest.raises(InputError, match=r"msnet2d: holds msnet2d, not msnet3d"):
+        load_model("msnet2d", model="msnet3d")
+    assert load_model("msnet2d", model="msnet2d", estimator="mean").config.estimator == "mean"
+    with pytest.raises(InputError, match=r"guide.weight is unknown, with coarse_pass=False: leave"):
+        load_model("msnet3d", coarse_pass=False)
+    with pytest.raises(InputError, match=r"no value 'estimate'|'estimate'"):
+        load_model("msnet2d", estimate="mean")
+    with pytest.raises(InputError, match="max_disparity must be a multiple of 16"):
+        load_model("msnet2d", max_disparity=33)
+
+
+def test_a_created_model_is_fresh_unless_pretrained():
+    torch.manual_seed(0)
+    fresh = create_model("msnet2d", max_disparity=32)
+    assert fresh.training
+    trained = create_model("msnet2d", pretrained=True, estimator="mean")
+    assert not trained.training
+    assert trained.config == model_config("msnet2d")
+    loaded, created = load_model("msnet2d").state_dict(), trained.state_dict()
+    assert all(value.equal(created[name]) for name, value in loaded.items())
+
+
+@pytest.mark.parametrize("name", weights.embedded_models())
+def test_every_version_loads_and_has_a_card(name):
+    for version in weights.embedded_versions(name):
+        card, net = weights.card(version), load_model(version)
+        assert is_model(net.config, name)
+        assert f"{card['model']}.{card['version']}" == version
+        assert card["licence"] == "Apache-2.0"
+        assert net.config == model_config(name, **card["config"])
+        preprocessing = card["preprocessing"]
+        assert tuple(preprocessing["mean"]) == net.preprocessing.mean
+        assert tuple(preprocessing["std"]) == net.preprocessing.std
+        assert preprocessing["scale"] == net.preprocessing.scale
+        for row in card["metrics"]["pairs"]:
+            assert row["epe_px"] > 0
+            assert 0 < row["d1_percent"] < 100
+
+
+@pytest.mark.parametrize("name", weights.embedded_models())
+def test_the_chain_of_a_card_leads_to_the_weights(name):
+    training = weights.card(name)["training"]
+    known = {"fresh"}
+    for stage in training["stages"]:
+        parts = stage["of"] if "mean" in stage else {stage["start"]: 1.0}
+        if not stage.get("start", "").startswith("msnet"):  # an earlier version of other weights
+            assert parts.keys() <= known
+        assert sum(parts.values()) == pytest.approx(1)
+        known.add(stage.get("mean") or stage["run"])
+    assert stage["mean"] == "embedded"
+    assert sum(stage.get("steps", 0) for stage in training["stages"]) == training["steps"]
+    resolved = training["resolved"]
+    (run,) = (stage for stage in training["stages"] if stage.get("run") == resolved["run"])
+    recipe = resolved["recipe"]
+    assert [recipe["augment"][side] for side in ("height", "width")] == run["crop"]
+    assert [recipe["scenes"][side] for side in ("height", "width")] == run["scenes"]
+    assert (recipe["steps"], recipe["batch_size"]) == (run["steps"], run["pairs_per_step"])
