@@ -8,12 +8,14 @@ PUBLIC = {
     "InputError",
     "NetConfig",
     "StereoMatcher",
+    "StereoModel",
     "StereoNet",
     "StereoResult",
     "StereoSample",
     "create_model",
     "list_models",
     "load_model",
+    "register_model",
     "save_weights",
 }
 

@@ -60,11 +60,12 @@ def save_pretrained(
     """
     folder = Path(folder)
     save_weights(net, folder / "model.safetensors")
-    record = {"model": model_reference(net), "config": asdict(net.config)}
+    model = model_reference(net)
+    record = {"model": model, "config": asdict(net.config)}
     write_json(folder / "config.json", record | {"preprocessing": asdict(net.preprocessing)})
     if card is not None:
         write_json(folder / "card.json", card)
-    text = model_page(record["model"], card or {})
+    text = model_page(model, card or {})
     write_atomically(folder / "README.md", lambda file: file.write_text(text, "utf-8"))
 
 

@@ -46,7 +46,7 @@ def registered_shapes(name: str) -> dict[str, torch.Size]:
 
 
 @lru_cache(maxsize=256)
-def _registered_shapes(network: type[StereoModel], config: Any) -> dict[str, torch.Size]:
+def _registered_shapes(network: Any, config: Any) -> dict[str, torch.Size]:
     return shapes(_meta_network(network, config).state_dict())
 
 
