@@ -22,6 +22,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.coarse_pass import guidance_from_scores
+from mobilestereonet.weights import load_model
 
 TESTS = Path(__file__).parents[1]
 STEPS = (

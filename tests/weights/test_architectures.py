@@ -1,5 +1,6 @@
 """Weights of every registered architecture, and of a user's own."""
 
+import json
 import subprocess
 import sys
 from dataclasses import fields
@@ -113,6 +114,21 @@ def test_a_file_never_runs_code_that_it_names(own, tmp_path):
         assert "InputError" in line
         assert f"{name}" in line
         assert "--model my_net.py:MyNet" in line
+
+
+def test_a_checkpoint_of_a_run_with_the_users_own_network(own, tmp_path):
+    reference, net = own
+    state = {f"net.{name}": value for name, value in net.state_dict().items()}
+    torch.save({"pytorch-lightning_version": "2", "state_dict": state}, tmp_path / "last.ckpt")
+    recipe = {"model": reference, "net": {"max_disparity": 96}}
+    (tmp_path / "recipe.json").write_text(json.dumps(recipe))
+    loaded = load_model(tmp_path / "last.ckpt")  # its class has been imported before
+    assert loaded.config == net.config
+    assert same_outputs(net, loaded)
+    recipe["model"] = "elsewhere/other.py:Other"
+    (tmp_path / "recipe.json").write_text(json.dumps(recipe))
+    with pytest.raises(InputError, match=r"last.ckpt: .*--model elsewhere/other.py:Other \(that"):
+        load_model(tmp_path / "last.ckpt")
 
 
 def test_a_class_that_registers_itself_in_its_file(tmp_path):

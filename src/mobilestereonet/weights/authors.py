@@ -7,7 +7,6 @@ from typing import Any
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import model_config
-from mobilestereonet.weights.checkpoints import strip_prefixes
 from mobilestereonet.weights.files import COUNTER, WeightsFile
 from mobilestereonet.weights.shapes import registered_shapes
 
@@ -26,7 +25,7 @@ _PREFIXES = (
     (r"heads\.(\d)\.score\.", "classif{0}.2."),
 )
 _MARK = "feature_extraction."
-"""Names in the authors' checkpoints begin with it, those in ours never do."""
+"""Names in the authors' checkpoints begin with it, those in ours never hold it."""
 
 
 def authors_key(key: str, config: Any) -> str:
@@ -61,9 +60,10 @@ def from_authors(weights: WeightsFile) -> WeightsFile:
     Raises:
         InputError: If the names begin like theirs, but are not those of either network.
     """
-    state = strip_prefixes(weights.state, (_MARK,))
-    if not any(key.startswith(_MARK) for key in state):
+    prefix = next((key.partition(_MARK)[0] for key in weights.state if _MARK in key), None)
+    if prefix is None:
         return weights
+    state = {key.removeprefix(prefix): value for key, value in weights.state.items()}
     name = "msnet2d" if any(key.startswith("preconv11.") for key in state) else "msnet3d-authors"
     config = model_config(name)
     expected = {authors_key(key, config): key for key in registered_shapes(name)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -55,21 +55,26 @@ def read_checkpoint(path: Path) -> WeightsFile:
     return WeightsFile(str(path), state, model, config)
 
 
-def strip_prefixes(state: dict[str, Tensor], expected: Collection[str]) -> dict[str, Tensor]:
+def strip_prefixes(state: dict[str, Tensor], names: Iterable[str]) -> dict[str, Tensor]:
     """A state dict without what wrappers put before its names.
 
     Args:
         state: Tensors by name. Where some have such a prefix, what lacks it is left out: it
             belongs to the wrapper, such as the counters of a training module.
-        expected: Names in the network; a prefix that one of them begins with stays.
+        names: Names in the network, which may begin like a wrapper's: the state dict that shares
+            most of them is taken.
     """
+    expected = set(names)
+    best, wrapped = state, [state]
     for _ in range(len(_PREFIXES)):  # they may be nested
-        for prefix in _PREFIXES:
-            found = any(key.startswith(prefix) for key in state)
-            if found and not any(key.startswith(prefix) for key in expected):
-                length = len(prefix)
-                state = {k[length:]: v for k, v in state.items() if k.startswith(prefix)}
-    return state
+        wrapped = [
+            {key[len(prefix) :]: value for key, value in outer.items() if key.startswith(prefix)}
+            for outer in wrapped
+            for prefix in _PREFIXES
+        ]
+        best = max([best, *wrapped], key=lambda found: len(found.keys() & expected))
+        wrapped = [inner for inner in wrapped if inner]
+    return best
 
 
 def _reason(error: Exception) -> str:
