@@ -124,3 +124,10 @@ def test_foreign_checkpoints_are_named(authors, tmp_path):
     assert "has shape (2, 2), not (" in message(state | {"classif3.2.weight": torch.zeros(2, 2)})
     with pytest.raises(FileNotFoundError, match="absent"):
         load_model(tmp_path / "absent.pth")
+
+
+def test_other_authors_names_that_begin_alike_are_not_taken_for_theirs(tmp_path):
+    state = {f"feature_extraction.layer{i}.weight": torch.zeros(3) for i in range(9)}
+    torch.save({"state_dict": state}, tmp_path / "psmnet.tar")
+    with pytest.raises(InputError, match=r"psmnet.tar: .*are those of no registered network"):
+        load_model(tmp_path / "psmnet.tar")

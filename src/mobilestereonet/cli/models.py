@@ -44,16 +44,20 @@ def models(
 def _list(names: list[str]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from mobilestereonet.nets import model_info
     from mobilestereonet.weights import count_parameters, embedded_versions
 
-    table = Table("name", "embedded weights")
-    table.add_column("parameters, M", justify="right")
+    table = Table()
+    for heading in ("name", "embedded weights"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("parameters, M", justify="right", no_wrap=True)
     table.add_column("paper")
     for name in sorted(names, key=lambda name: not embedded_versions(name)):
         tags = ", ".join(version.partition(".")[2] for version in embedded_versions(name))
-        table.add_row(name, tags, f"{count_parameters(name) / 1e6:.3f}", model_info(name).paper)
+        paper = Text(model_info(name).paper, no_wrap=True, overflow="ellipsis")
+        table.add_row(name, tags, f"{count_parameters(name) / 1e6:.3f}", paper)
     Console().print(table)
 
 
