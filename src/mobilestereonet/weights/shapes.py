@@ -41,7 +41,7 @@ def count_parameters(name: str) -> int:
 
 def registered_shapes(name: str) -> dict[str, torch.Size]:
     """Shapes by name of the state dict of a registered network."""
-    info = model_info(name)
+    info: Any = model_info(name)
     return _registered_shapes(info.network, info.config)
 
 
