@@ -2,10 +2,13 @@ import json
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.torch import load, load_file, save_file
 
 from mobilestereonet import InputError, create_model, load_model, save_weights
+from mobilestereonet.nets import build_model
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 
@@ -34,6 +37,35 @@ def test_a_saved_network_is_the_same_when_loaded(net, tmp_path):
     for name, value in own.items():
         assert saved[name].equal(value), name
     assert list(path.parent.iterdir()) == [path]
+
+
+BLOCKS = st.sampled_from(["conv", "v1", "v2"])
+CONFIGS = st.fixed_dictionaries(
+    {
+        "dims": st.sampled_from([2, 3]),
+        "features": BLOCKS,
+        "hourglass": BLOCKS,
+        "hourglasses": st.integers(1, 2),
+        "width": st.sampled_from([8, 16]),
+        "cost_volume": st.sampled_from(["interlaced-2", "correlation", "groupwise"]),
+        "groups": st.just(8),
+        "max_disparity": st.sampled_from([32, 64]),
+        "estimator": st.sampled_from(["mean", "mode"]),
+    }
+)
+
+
+@given(config=CONFIGS, dtype=st.sampled_from([torch.float32, torch.float64, torch.bfloat16]))
+@settings(max_examples=10, deadline=None)
+def test_any_config_comes_back_with_every_value(config, dtype, tmp_path_factory):
+    path = tmp_path_factory.mktemp("any") / "net.safetensors"
+    net = build_model("msnet2d", **config).to(dtype)
+    save_weights(net, path)
+    loaded = load_model(path)
+    assert loaded.config == net.config
+    saved, own = loaded.state_dict(), net.state_dict()
+    assert saved.keys() == own.keys()
+    assert all(saved[name].equal(value.to(saved[name].dtype)) for name, value in own.items())
 
 
 def test_half_precision_on_request(net, tmp_path):
