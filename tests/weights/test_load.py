@@ -116,6 +116,13 @@ def test_a_folder_in_the_hubs_layout(net, tmp_path):
         load_model(folder)
 
 
+def test_a_card_in_other_words_is_no_obstacle(net, tmp_path):
+    words = {"training": "a night on a GPU", "metrics": {"pairs": [{"pair": "a", "error": 3}]}}
+    save_pretrained(net, tmp_path, card=words)
+    assert json.loads((tmp_path / "card.json").read_text()) == words
+    assert "| pair |" not in (tmp_path / "README.md").read_text()
+
+
 def test_a_folder_without_a_card_says_so(net, tmp_path):
     save_pretrained(net, tmp_path)
     assert "- Licence: not stated" in (tmp_path / "README.md").read_text().splitlines()

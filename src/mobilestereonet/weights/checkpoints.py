@@ -19,6 +19,8 @@ _PREFIXES = ("module.", "net.", "model.")
 """What DataParallel, our training module and others put before every name."""
 _COMPILED = "_orig_mod."
 """What `torch.compile` puts into names, wherever it was called."""
+_FLAT_VALUES = ("max_disparity", "estimator", "coarse_pass")
+"""Values of the network's config in recipes from before these had a part ``net``."""
 
 
 def read_checkpoint(path: Path) -> WeightsFile:
@@ -91,11 +93,8 @@ def _read_recipe(path: Path) -> tuple[str | None, dict[str, Any]]:
     try:
         recipe = json.loads(path.read_text("utf-8"))
         model = recipe.get("model")
-        config = {key: recipe[key] for key in _CONFIG_IN_RECIPE if key in recipe}
+        config = {key: recipe[key] for key in _FLAT_VALUES if key in recipe}
         config |= recipe.get("net") or {}
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{path}: not a recipe: {error}") from None
     return model, config
-
-
-_CONFIG_IN_RECIPE = ("max_disparity", "estimator", "coarse_pass")

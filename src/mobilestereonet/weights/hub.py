@@ -11,6 +11,8 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel
 from mobilestereonet.weights.files import model_reference, save_weights, write_json
 
+_FIGURES = ("epe_px", "d1_percent")
+
 
 def download(repository: str, revision: str | None) -> Path:
     """Folder of a model on the hub, from the hub's own cache where it is there already.
@@ -80,11 +82,17 @@ def model_page(model: str, card: dict[str, Any]) -> str:
     lines += ['matcher = StereoMatcher.from_pretrained("path/to/this/folder")', "```", ""]
     lines += [f"- Licence: {licence or 'not stated'}"]
     lines += [f"- Version: {card['version']}, {card['date']}"] if "version" in card else []
-    training, metrics = card.get("training", {}), card.get("metrics", {})
+    training, metrics = (_part(card, key) for key in ("training", "metrics"))
     lines += [f"- Trained on: {training['data']}"] if "data" in training else []
     lines += [f"- Training: {training['steps']} steps"] if "steps" in training else []
-    if metrics.get("pairs"):
+    rows = [row for row in metrics.get("pairs", ()) if {"pair", *_FIGURES} <= row.keys()]
+    if rows:
         lines += ["", f"Accuracy ({metrics.get('protocol', 'protocol not stated')}):", ""]
         lines += ["| pair | EPE, px | D1, % |", "| --- | --- | --- |"]
-        lines += ["| {pair} | {epe_px} | {d1_percent} |".format(**row) for row in metrics["pairs"]]
+        lines += ["| {pair} | {epe_px} | {d1_percent} |".format(**row) for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def _part(card: dict[str, Any], key: str) -> dict[str, Any]:
+    part = card.get(key)
+    return part if isinstance(part, dict) else {}
