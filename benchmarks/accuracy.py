@@ -25,11 +25,12 @@ from rich.console import Console
 from rich.table import Table
 
 from mobilestereonet.data import data_sets, open_data_set, write_png
+from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
-from mobilestereonet.plots import Picture, colour_disparity, side_by_side, to_picture
+from mobilestereonet.plots import colour_disparity, side_by_side
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.weights import embedded_models
 

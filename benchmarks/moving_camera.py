@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
-from mobilestereonet.plots import Picture, to_picture
+from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.scenes.builder import turns
 from mobilestereonet.scenes.scene import Scene

@@ -25,9 +25,9 @@ from rich.table import Table
 from torch import Tensor
 
 from accuracy import SYNTHETIC, matchers, real_and_synthetic
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.evaluation import evaluate
-from mobilestereonet.plots import to_picture
 
 SEED = 20_261_123
 

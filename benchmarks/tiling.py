@@ -27,9 +27,9 @@ from torch import Tensor
 
 from accuracy import real_and_synthetic
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.plots import to_picture
 
 STEPS = (0, 32, 64, 96, 128, 160, 224, 288, 320, 10_000)
 """Distances from a border, in px."""

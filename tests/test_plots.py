@@ -5,6 +5,7 @@ import torch
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.plots import (
@@ -13,7 +14,6 @@ from mobilestereonet.plots import (
     error_map,
     plot_curves,
     side_by_side,
-    to_picture,
 )
 
 

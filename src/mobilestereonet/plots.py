@@ -14,15 +14,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
+from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 
-Picture = NDArray[np.uint8]
 Map = Tensor | NDArray[Any]
 _Curve = tuple[list[float], list[float]]
 
@@ -46,19 +45,6 @@ _ERROR_COLOURS = np.array(
 )
 _GAP = 4
 _TITLE_HEIGHT = 24
-
-
-def to_picture(view: Tensor) -> Picture:
-    """A view as a picture.
-
-    Args:
-        view: (3, H, W) in 0..1.
-
-    Returns:
-        (H, W, 3) uint8.
-    """
-    scaled = (view.detach().cpu().float().clamp(0, 1) * 255).round().to(torch.uint8)
-    return np.ascontiguousarray(scaled.permute(1, 2, 0).numpy())
 
 
 def colour_disparity(

@@ -3,7 +3,7 @@ import pytest
 import torch
 from skimage.data import stereo_motorcycle
 
-from mobilestereonet.data.files import image_to_tensor
+from mobilestereonet.data.images import image_to_tensor
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.engines.base import Runtime
 from mobilestereonet.engines.sgbm import StereoSGBM, _fill_rows

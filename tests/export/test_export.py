@@ -7,7 +7,8 @@ import torch
 from torch import nn
 
 from mobilestereonet import InputError, create_model, save_weights
-from mobilestereonet.export import FORMATS, calibration_pairs, export_model, real_pair
+from mobilestereonet.data.motorcycle import motorcycle_views
+from mobilestereonet.export import FORMATS, calibration_pairs, export_model
 from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
 from mobilestereonet.nets.normalise import normalise
@@ -207,7 +208,7 @@ def write_pairs(folder):
 def test_pairs_have_the_size_that_is_asked_for(tmp_path):
     write_pairs(tmp_path)
     for size in (SIZE, (80, 96)):
-        pairs = [real_pair(size), *calibration_pairs(size, tmp_path)]
+        pairs = [motorcycle_views(size), *calibration_pairs(size, tmp_path)]
         assert len(pairs) == 3
         for pair in pairs:
             for view in pair:

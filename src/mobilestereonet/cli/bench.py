@@ -30,9 +30,9 @@ def bench(
     from rich.console import Console
     from rich.table import Table
 
+    from mobilestereonet.data.motorcycle import motorcycle_views
     from mobilestereonet.engines.choose import check_device, choose_engine, remember_fastest
     from mobilestereonet.engines.compare import compare_engines, fastest, installed_engines
-    from mobilestereonet.export import real_pair
     from mobilestereonet.export.metadata import check_size
     from mobilestereonet.inference.matcher import pretrained_net
     from mobilestereonet.nets.model import IMAGENET
@@ -40,7 +40,7 @@ def bench(
     name, net = pretrained_net(model, weights)
     device = check_device("auto", device)
     check_size(net, size)
-    left, right = map(IMAGENET, real_pair(size))
+    left, right = map(IMAGENET, motorcycle_views(size))
     engines = installed_engines(device)
     times = compare_engines(
         net,

@@ -32,11 +32,11 @@ def demo(
     from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data.calibration import write_calibration
     from mobilestereonet.data.files import write_png
+    from mobilestereonet.data.images import to_picture
     from mobilestereonet.data.motorcycle import CALIBRATION, motorcycle
     from mobilestereonet.data.sample import collate
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.metrics import StereoMetrics
-    from mobilestereonet.plots import to_picture
 
     sample = motorcycle()
     matcher = StereoMatcher.from_pretrained(

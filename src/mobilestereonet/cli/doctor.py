@@ -22,9 +22,9 @@ def doctor(
 
     from rich.console import Console
 
+    from mobilestereonet.data.images import to_picture
     from mobilestereonet.inference import load_pair
     from mobilestereonet.inference.checks import check_pair
-    from mobilestereonet.plots import to_picture
 
     colours = {"good": "green", "warning": "yellow", "problem": "red", "unknown": "yellow"}
     views = [to_picture(view) for view in load_pair(left, right)]

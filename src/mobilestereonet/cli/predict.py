@@ -65,11 +65,11 @@ def predict(
     from mobilestereonet.cli.calibration import calibration_from
     from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data.depth_files import check_depth_file, write_depth
+    from mobilestereonet.data.images import to_picture
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import StereoMatcher, load_pair
     from mobilestereonet.inference.checks import quick_checks
     from mobilestereonet.inference.geometry import check_points_file
-    from mobilestereonet.plots import to_picture
 
     depth_files = [check_depth_file(path) for path in depth or ()]
     point_files = [check_points_file(path) for path in points or ()]

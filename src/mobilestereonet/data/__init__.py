@@ -3,8 +3,6 @@
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.disparity_files import (
-    FloatMap,
-    Mask,
     read_disparity,
     read_disparity_pfm,
     read_disparity_png,
@@ -12,14 +10,8 @@ from mobilestereonet.data.disparity_files import (
     read_disparity_vkitti2,
     write_disparity_png,
 )
-from mobilestereonet.data.files import (
-    image_to_tensor,
-    read_image,
-    read_pfm,
-    write_npy,
-    write_pfm,
-    write_png,
-)
+from mobilestereonet.data.files import read_image, read_pfm, write_npy, write_pfm, write_png
+from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample, collate
 from mobilestereonet.data.scanners import (
     ETH3D,

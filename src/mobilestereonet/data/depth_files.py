@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from mobilestereonet.atomic import write_atomically
-from mobilestereonet.data.files import Array, write_npy, write_png
+from mobilestereonet.data.files import write_npy, write_png
+from mobilestereonet.data.images import Array
 from mobilestereonet.errors import InputError
 
 DEPTH_FORMATS = (".png", ".npy", ".tif", ".tiff")

@@ -11,21 +11,17 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from mobilestereonet.data.files import (
-    Array,
     decode_image,
     read_bytes,
     read_image,
     read_pfm,
     write_png,
 )
+from mobilestereonet.data.images import Array, FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-
-FloatMap = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
 KITTI_SCALE = 256.0
 """Grey levels per pixel of disparity in the PNGs of KITTI and of most sets after it."""

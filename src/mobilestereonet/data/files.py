@@ -1,21 +1,17 @@
-"""Image files: reading, the step to a tensor, PFM, and writing without half-written files."""
+"""Image, PFM and NumPy files; writing is atomic."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
+from mobilestereonet.data.images import Array
 from mobilestereonet.errors import InputError
-
-Array = npt.NDArray[Any]
 
 # The header is text, the numbers that follow may look like anything: one line end closes it.
 # Writers differ in what separates the fields (new lines, blanks, blanks before a new line, CRLF,
@@ -82,42 +78,6 @@ def read_image(path: str | Path) -> Array:
     if image.shape[2] == 1:
         return image.repeat(3, axis=2)
     return np.ascontiguousarray(image[..., 2::-1])
-
-
-def image_to_tensor(image: Array) -> Tensor:
-    """Convert an image to what networks take.
-
-    Args:
-        image: RGB or grey image of shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), the last
-            with an alpha channel that is dropped. uint8 is divided by 255 and uint16 by 65535;
-            floating point values must lie in 0..1 already.
-
-    Returns:
-        Float32 tensor of shape (3, H, W) in 0..1 with memory of its own.
-
-    Raises:
-        InputError: If the shape or the dtype is another one, or a value is NaN or outside 0..1.
-    """
-    if image.ndim == 2:
-        image = image[..., None]
-    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or 0 in image.shape:
-        raise InputError(f"an image needs shape (H, W), (H, W, 1|3|4), got {image.shape}")
-    planes = np.array(image[..., :3].transpose(2, 0, 1), order="C")
-    if planes.dtype == np.uint8:
-        tensor = torch.from_numpy(planes).float().div_(255)
-    elif planes.dtype == np.uint16:
-        tensor = torch.from_numpy(planes.astype(np.float32)).div_(65535)
-    elif np.issubdtype(planes.dtype, np.floating):
-        low, high = planes.min(), planes.max()
-        if not (low >= 0 and high <= 1):  # also False where a value is NaN
-            raise InputError(
-                f"a floating point image needs values in 0..1, got {low:.6g} to {high:.6g}: "
-                "scale it, or pass uint8 or uint16"
-            )
-        tensor = torch.from_numpy(planes.astype(np.float32, copy=False))
-    else:
-        raise InputError(f"an image needs uint8, uint16 or floating point, got {planes.dtype}")
-    return tensor.expand(3, -1, -1).contiguous()
 
 
 def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:

@@ -1,12 +1,13 @@
-"""The real pair that comes with the package's dependencies."""
+"""Middlebury's Motorcycle, the real pair that scikit-image's wheel contains."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 from skimage.data import stereo_motorcycle
+from torch import Tensor
 
-from mobilestereonet.data.files import image_to_tensor
+from mobilestereonet.data.images import cover_and_crop, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample
 
 CALIBRATION = Calibration(
@@ -30,3 +31,16 @@ def motorcycle() -> StereoSample:
         calibration=CALIBRATION,
         name="motorcycle",
     )
+
+
+def motorcycle_views(size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Views of the Motorcycle at any size, for timing and for comparing engines.
+
+    Args:
+        size: Height and width. The views are scaled until they cover it, then cropped.
+
+    Returns:
+        Left and right view, (1, 3, height, width) each, RGB in 0..1.
+    """
+    sample = motorcycle()
+    return cover_and_crop(sample.left, size), cover_and_crop(sample.right, size)

@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.errors import InputError
-from mobilestereonet.plots import to_picture
 
 _BLOCK = 5
 

@@ -3,11 +3,11 @@
 from mobilestereonet.evaluation.evaluate import (
     Evaluation,
     EvaluationProtocol,
-    Match,
     authors_protocol,
     evaluate,
     save_evaluations,
 )
+from mobilestereonet.evaluation.matching import DisparityFn
 from mobilestereonet.evaluation.sparsification import (
     Sparsification,
     plot_sparsification,
@@ -24,9 +24,9 @@ from mobilestereonet.evaluation.submit import (
 
 __all__ = [
     "BENCHMARKS",
+    "DisparityFn",
     "Evaluation",
     "EvaluationProtocol",
-    "Match",
     "Sparsification",
     "Submission",
     "authors_protocol",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from statistics import median
@@ -16,23 +15,12 @@ from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
+from mobilestereonet.evaluation.matching import DisparityFn, timed_match
 from mobilestereonet.metrics import StereoMetrics, StereoScores
-from mobilestereonet.plots import (
-    Picture,
-    colour_disparity,
-    error_map,
-    side_by_side,
-    thicken,
-    to_picture,
-)
-
-Match = Callable[[Tensor, Tensor], Tensor]
-"""Left and right views, (B, 3, H, W) RGB in 0..1, to disparity in px, (B, H, W).
-
-``StereoMatcher.disparity`` is such a function, and so is a `StereoSGBM`.
-"""
+from mobilestereonet.plots import colour_disparity, error_map, side_by_side, thicken
 
 
 @dataclass(frozen=True)
@@ -117,7 +105,7 @@ def save_evaluations(evaluations: Sequence[Evaluation], path: Path) -> None:
 
 
 def evaluate(
-    match: Match,
+    match: DisparityFn,
     data: Iterable[StereoSample],
     *,
     model: str,
@@ -162,36 +150,6 @@ def evaluate(
     if not seconds:
         raise InputError(f"{data_name} has no sample to score")
     return Evaluation(model, data_name, protocol, metrics.compute(), median(seconds))
-
-
-def timed_match(match: Match, batch: StereoSample) -> tuple[Tensor, float]:
-    """Call ``match`` and look at its clock and its result.
-
-    Args:
-        match: What is called.
-        batch: Pairs, (B, 3, H, W).
-
-    Returns:
-        Disparity on the CPU, (B, H, W) float32 in px, and the seconds until it was there.
-
-    Raises:
-        InputError: If the result has another shape or values that are not finite.
-    """
-    started = time.perf_counter()
-    with torch.no_grad():
-        prediction = match(batch.left, batch.right).float().cpu()
-    elapsed = time.perf_counter() - started
-    expected = (batch.left.shape[0], *batch.left.shape[-2:])
-    if prediction.shape != expected:
-        raise InputError(
-            f"{batch.name}: the matcher gave shape {tuple(prediction.shape)}, not {expected}"
-        )
-    if wrong := int((~prediction.isfinite()).sum()):
-        raise InputError(
-            f"{batch.name}: the matcher gave {wrong} disparities that are not finite; "
-            "are its weights damaged?"
-        )
-    return prediction, elapsed
 
 
 def _batches(data: Iterable[StereoSample], size: int) -> Iterator[list[StereoSample]]:

@@ -23,7 +23,7 @@ from mobilestereonet.data.files import decode_image, read_pfm, write_pfm
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.scanners import StereoDataSet, open_data_set
 from mobilestereonet.errors import InputError
-from mobilestereonet.evaluation.evaluate import Match, timed_match
+from mobilestereonet.evaluation.matching import DisparityFn, timed_match
 
 BENCHMARKS = ("kitti2015", "kitti2012", "middlebury", "eth3d")
 
@@ -144,7 +144,7 @@ def open_benchmark(
 
 
 def write_submission(
-    plan: Submission, match: Match, data: Iterable[StereoSample], archive: Path
+    plan: Submission, match: DisparityFn, data: Iterable[StereoSample], archive: Path
 ) -> None:
     """Match every scene of a benchmark and write the archive for its server, checked.
 

@@ -2,7 +2,7 @@
 
 from mobilestereonet.export.base import Format, Job
 from mobilestereonet.export.export import FORMATS, TOLERANCE, Export, export_model, find_format
-from mobilestereonet.export.pairs import calibration_pairs, real_pair
+from mobilestereonet.export.pairs import calibration_pairs
 
 __all__ = [
     "FORMATS",
@@ -13,5 +13,4 @@ __all__ = [
     "calibration_pairs",
     "export_model",
     "find_format",
-    "real_pair",
 ]

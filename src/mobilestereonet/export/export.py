@@ -13,6 +13,7 @@ from uuid import uuid4
 import torch
 from torch import Tensor
 
+from mobilestereonet.data.motorcycle import motorcycle_views
 from mobilestereonet.engines.compare import times_in_turns
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.base import Format, Job, Pair, Run
@@ -22,7 +23,7 @@ from mobilestereonet.export.litert import LiteRT
 from mobilestereonet.export.metadata import check_size, describe
 from mobilestereonet.export.onnx import ONNX
 from mobilestereonet.export.openvino import OpenVINO
-from mobilestereonet.export.pairs import calibration_pairs, real_pair
+from mobilestereonet.export.pairs import calibration_pairs
 from mobilestereonet.export.pt2 import PT2
 from mobilestereonet.nets import StereoModel
 from mobilestereonet.nets.model import IMAGENET
@@ -141,8 +142,8 @@ def export_model(
         if format_of_file.dynamic:
             multiple = net.config.size_multiple
             larger = (size[0] + multiple, size[1] + 2 * multiple)
-            _compare(run, net, real_pair(larger), format_, TOLERANCE[precision])
-        pair = real_pair(size)
+            _compare(run, net, motorcycle_views(larger), format_, TOLERANCE[precision])
+        pair = motorcycle_views(size)
         difference = _compare(run, net, pair, format_, TOLERANCE[precision])
         seconds, torch_seconds = times_in_turns(
             lambda: run(*pair), lambda: _reference(net, pair), repeats=_RUNS

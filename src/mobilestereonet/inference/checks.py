@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.plots import Picture
+from mobilestereonet.data.images import Picture
 
 Level: TypeAlias = Literal["good", "warning", "problem", "unknown"]
 Points: TypeAlias = NDArray[np.float32]

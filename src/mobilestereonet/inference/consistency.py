@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mobilestereonet.data.disparity_files import FloatMap, Mask
+from mobilestereonet.data.images import FloatMap, Mask
 
 AGREEMENT = 1.0
 """Pixels by which the two views' disparities of one point may differ."""

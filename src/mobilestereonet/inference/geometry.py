@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobilestereonet.atomic import write_atomically
-from mobilestereonet.data.disparity_files import KITTI_SCALE, FloatMap, Mask
+from mobilestereonet.data.disparity_files import KITTI_SCALE
+from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.plots import Picture
 
 SMALLEST_DISPARITY = 1 / KITTI_SCALE
 """Pixels of disparity, the step of KITTI's files: what is below has no depth."""

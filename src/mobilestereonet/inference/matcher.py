@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.engines.base import ConfidentRuntime, Runtime
 from mobilestereonet.engines.choose import AUTO, open_runtime
 from mobilestereonet.engines.scores import use_threads
@@ -26,7 +27,6 @@ from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import StereoModel, model_name
 from mobilestereonet.nets.model import IMAGENET
-from mobilestereonet.plots import to_picture
 from mobilestereonet.weights import load_model
 
 DEFAULT_MODEL = "msnet2d"

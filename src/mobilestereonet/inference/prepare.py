@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet.data.files import image_to_tensor, read_image
+from mobilestereonet.data.files import read_image
+from mobilestereonet.data.images import image_to_tensor
 from mobilestereonet.errors import InputError
 
 View = str | Path | NDArray[Any] | Tensor

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.data.disparity_files import KITTI_SCALE, FloatMap, Mask, write_disparity_png
+from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_png
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
+from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.geometry import (
@@ -21,7 +22,7 @@ from mobilestereonet.inference.geometry import (
     depth_from_disparity,
     point_cloud,
 )
-from mobilestereonet.plots import Picture, colour_disparity, side_by_side
+from mobilestereonet.plots import colour_disparity, side_by_side
 
 _LARGEST_IN_PNG = 65535 / KITTI_SCALE
 

@@ -12,15 +12,14 @@ from torch import Tensor
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import (
     KITTI_SCALE,
-    FloatMap,
     read_disparity_png,
     write_disparity_png,
 )
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
+from mobilestereonet.data.images import FloatMap, to_picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.result import StereoResult
-from mobilestereonet.plots import to_picture
 from mobilestereonet.streams.pairs import Pair
 
 _LARGEST_IN_PNG = 65535 / KITTI_SCALE

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
+from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import load_pair
-from mobilestereonet.plots import Picture
 
 
 @dataclass(frozen=True)

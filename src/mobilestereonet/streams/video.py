@@ -13,11 +13,12 @@ from threading import Event
 
 import numpy as np
 
+from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.inference.result import StereoResult
-from mobilestereonet.plots import Picture, colour_disparity, side_by_side
+from mobilestereonet.plots import colour_disparity, side_by_side
 from mobilestereonet.streams.batch import Matched, matched
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import ahead

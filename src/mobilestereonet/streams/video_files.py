@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 
 from mobilestereonet.atomic import write_atomically
+from mobilestereonet.data.images import Picture
 from mobilestereonet.errors import InputError
-from mobilestereonet.plots import Picture
 from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov")

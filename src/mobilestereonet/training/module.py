@@ -16,13 +16,14 @@ from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 
 from mobilestereonet.accelerate import accelerate
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import build_model
 from mobilestereonet.nets.model import IMAGENET
-from mobilestereonet.plots import colour_disparity, error_map, to_picture
+from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.losses import (
     cross_entropy_sum,

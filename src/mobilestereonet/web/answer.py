@@ -14,11 +14,12 @@ import numpy as np
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import KITTI_SCALE
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoResult, check_pair, load_pair
 from mobilestereonet.inference.geometry import PointCloud
-from mobilestereonet.plots import colour_disparity, to_picture
+from mobilestereonet.plots import colour_disparity
 from mobilestereonet.web.sessions import Session
 
 FAR = 3.0

@@ -14,10 +14,10 @@ from typing import Any
 import gradio as gr
 
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.plots import to_picture
 from mobilestereonet.web.answer import CLOUD, FAR, Geometry, answer
 from mobilestereonet.web.sessions import OLDEST, Sessions
 from mobilestereonet.web.uploads import Limits, admit

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from mobilestereonet.data.disparity_files import FloatMap, Mask
-from mobilestereonet.data.files import image_to_tensor, read_image
+from mobilestereonet.data.files import read_image
+from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.errors import InputError
 

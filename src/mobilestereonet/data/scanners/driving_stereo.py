@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from mobilestereonet.data.disparity_files import FloatMap, Mask, read_disparity_png
+from mobilestereonet.data.disparity_files import read_disparity_png
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
 from mobilestereonet.errors import InputError
 

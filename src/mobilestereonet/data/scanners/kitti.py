@@ -8,12 +8,11 @@ from typing import ClassVar
 
 from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.disparity_files import (
-    FloatMap,
-    Mask,
     read_disparity_png,
     read_disparity_vkitti2,
     read_levels,
 )
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
 from mobilestereonet.errors import InputError

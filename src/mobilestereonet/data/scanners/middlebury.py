@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from mobilestereonet.data.calibration import read_calibration
-from mobilestereonet.data.disparity_files import FloatMap, Mask, read_disparity_pfm, read_levels
+from mobilestereonet.data.disparity_files import read_disparity_pfm, read_levels
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
 from mobilestereonet.errors import InputError

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from mobilestereonet.data.calibration import read_calibration
-from mobilestereonet.data.disparity_files import FloatMap, Mask, read_disparity
+from mobilestereonet.data.disparity_files import read_disparity
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
 from mobilestereonet.errors import InputError

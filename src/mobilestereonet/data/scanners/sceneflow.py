@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from mobilestereonet.data.disparity_files import FloatMap, Mask, read_disparity_pfm
+from mobilestereonet.data.disparity_files import read_disparity_pfm
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
 from mobilestereonet.errors import InputError

@@ -8,12 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mobilestereonet.data.disparity_files import (
-    FloatMap,
-    Mask,
-    read_disparity_sintel,
-    read_levels,
-)
+from mobilestereonet.data.disparity_files import read_disparity_sintel, read_levels
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
 from mobilestereonet.errors import InputError
 
