@@ -1,5 +1,6 @@
 """Procedural scenes against closed-form geometry."""
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -321,16 +322,53 @@ def test_a_folder_without_images_is_an_error(tmp_path):
     ("change", "message"),
     [
         ({"rays": 3}, "rays must be 1 or 2, got 3"),
-        ({"height": 0}, "height must be at least 1"),
+        ({"length": 0}, "length must be at least 1"),
         ({"min_disparity": 60.0}, "min_disparity <= max_disparity"),
         ({"texture_size": 100}, "power of two, got 100"),
         ({"textureless": 1.5}, "textureless must be from 0 to 1, got 1.5"),
-        ({"seed": -1}, "seed must not be negative"),
+        ({"seed": -1}, "seed must be from 0"),
         ({"objects": (5, 2)}, "objects must be a range"),
         ({"kinds": {"moon": 1.0}}, "weights for some of room, street"),
         ({"kinds": {}}, "weights for some of"),
+        ({"kinds": {"room": math.inf}}, "weights for some of"),
+        ({"height": 1}, "height must be at least 2"),
+        ({"width": 1}, "width must be at least 2"),
+        ({"max_disparity": math.inf}, "max_disparity <= 1e[+]06 must hold"),
+        ({"min_disparity": 1e-300}, "1e-06 <= min_disparity"),
+        ({"seed": 2**64}, "seed must be from 0 to 2[*][*]64 - 1"),
+        ({"objects": (0, 10**9)}, "objects must be a range of counts up to 10000"),
     ],
 )
 def test_bad_settings_are_named(change, message):
     with pytest.raises(InputError, match=message):
         replace(SMALL, **change)
+
+
+TINY = replace(SMALL, height=32, width=48, max_disparity=24, noise_textures=4, texture_size=16)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"objects": (1500, 1500), "kinds": {"clutter": 1}},
+        {"objects": (0, 0)},
+        {"height": 2, "width": 2},
+        {"noise_textures": 1, "texture_size": 2},
+        {"textureless": 1.0, "rays": 1},
+        {"min_disparity": 1e-6, "max_disparity": 1e-6},
+        {"min_disparity": 1e6, "max_disparity": 1e6},
+        {"seed": 2**64 - 1},
+        {"kinds": {"room": 1e-300, "park": 0}},
+    ],
+)
+def test_extreme_settings_work(change):
+    scenes = ProceduralScenes(replace(TINY, **change))
+    for index in range(8):
+        sample = scenes.batch([index])
+        assert sample.left.isfinite().all() and sample.disparity.isfinite().all()
+
+
+def test_many_surfaces_have_materials_of_their_own():
+    scenes = ProceduralScenes(replace(TINY, objects=(1500, 1500), kinds={"clutter": 1}))
+    looks = scenes.layout(0).surfaces
+    assert len(np.unique(looks.colour, axis=0)) > 1400

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -26,6 +27,12 @@ __all__ = ["ProceduralScenes", "SceneConfig"]
 
 # The texture bank's place in the key of the generator, where scenes have their index.
 _BANK = 2**64 - 1
+
+DISPARITY_RANGE_PX = (1e-6, 1e6)
+"""Bounds of a scene's disparities: beyond them float32 geometry breaks down."""
+
+MAX_OBJECTS = 10_000
+"""Largest number of floating objects: more take too much memory to render."""
 
 
 @dataclass(frozen=True)
@@ -73,18 +80,23 @@ class SceneConfig:
     length: int = 35_454
 
     def __post_init__(self) -> None:
-        for name in ("height", "width", "noise_textures", "length"):
-            if getattr(self, name) < 1:
-                raise InputError(f"scenes: {name} must be at least 1, got {getattr(self, name)}")
-        if not 0 < self.min_disparity <= self.max_disparity:
+        for name, least in (("height", 2), ("width", 2), ("noise_textures", 1), ("length", 1)):
+            if getattr(self, name) < least:
+                raise InputError(
+                    f"scenes: {name} must be at least {least}, got {getattr(self, name)}"
+                )
+        low, high = DISPARITY_RANGE_PX
+        if not low <= self.min_disparity <= self.max_disparity <= high:
             raise InputError(
-                "scenes: 0 < min_disparity <= max_disparity must hold, got "
+                f"scenes: {low:g} <= min_disparity <= max_disparity <= {high:g} must hold, got "
                 f"{self.min_disparity} and {self.max_disparity}"
             )
-        if self.seed < 0:
-            raise InputError(f"scenes: seed must not be negative, got {self.seed}")
-        if len(self.objects) != 2 or not 0 <= self.objects[0] <= self.objects[1]:
-            raise InputError(f"scenes: objects must be a range of counts, got {self.objects}")
+        if not 0 <= self.seed < 2**64:
+            raise InputError(f"scenes: seed must be from 0 to 2**64 - 1, got {self.seed}")
+        if len(self.objects) != 2 or not 0 <= self.objects[0] <= self.objects[1] <= MAX_OBJECTS:
+            raise InputError(
+                f"scenes: objects must be a range of counts up to {MAX_OBJECTS}, got {self.objects}"
+            )
         if not 0 <= self.textureless <= 1:
             raise InputError(f"scenes: textureless must be from 0 to 1, got {self.textureless}")
         if self.rays not in (1, 2):
@@ -94,7 +106,8 @@ class SceneConfig:
                 f"scenes: texture_size must be a power of two, got {self.texture_size}"
             )
         unknown = sorted(set(self.kinds) - set(PLACES))
-        if unknown or not sum(self.kinds.values()) > 0 or min(self.kinds.values()) < 0:
+        weights = list(self.kinds.values())
+        if unknown or not 0 < sum(weights) < math.inf or min(weights) < 0:
             raise InputError(
                 f"scenes: kinds needs weights for some of {', '.join(PLACES)}, got {self.kinds}"
             )

@@ -25,6 +25,8 @@ from mobilestereonet.scenes.scene import (
     Surfaces,
 )
 
+MATERIALS_PER_DRAW = 256
+
 
 @dataclass
 class Material:
@@ -124,9 +126,9 @@ class Builder:
         """Numbers whose logarithm is uniform; the bounds may come in either order."""
         return low * (high / low) ** self.rng.random(size)
 
-    def _draw_stock(self) -> None:
+    def _draw_stock(self, count: int = MATERIALS_PER_DRAW) -> None:
         """Draw many materials at once, which is much cheaper than a few at a time."""
-        rng, count = self.rng, 256
+        rng = self.rng
         strength = rng.random(count)
         contrast = rng.uniform(0.7, 1.15, count)
         contrast = np.where(strength < 0.3, rng.uniform(0.25, 0.7, count), contrast)
@@ -154,7 +156,7 @@ class Builder:
         ``kind`` asks for one kind of noise; then half are photographs.
         """
         if self.used + count > len(self.choice):
-            self._draw_stock()
+            self._draw_stock(max(count, MATERIALS_PER_DRAW))
         part = slice(self.used, self.used + count)
         self.used += count
         material = self.stock[part]
