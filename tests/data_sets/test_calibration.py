@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mobilestereonet.data import Calibration, read_calibration
-from mobilestereonet.data.camera_yaml import read_rig
+from mobilestereonet.data.calibration import write_calibration
+from mobilestereonet.data.camera_files import read_rig
 from mobilestereonet.errors import InputError
 
 MIDDLEBURY = """cam0=[999.421 0 294.182; 0 999.421 252.932; 0 0 1]
@@ -146,6 +147,47 @@ def test_ros_message_as_it_is_printed(tmp_path):
         assert calibration_of(tmp_path, text).size == (640, 480)
 
 
+def test_both_focal_lengths_are_kept(tmp_path):
+    middlebury = MIDDLEBURY.replace("0 999.421 2", "0 1010.5 2")
+    kitti = KITTI_2015.replace("7.2e+02 1.7e+02", "7.3e+02 1.7e+02")
+    ros = ROS_RIGHT.replace("700.0, 240.0", "710.0, 240.0")
+    for text, focals in ((middlebury, (999.421, 1010.5)), (kitti, (720, 730)), (ros, (700, 710))):
+        result = calibration_of(tmp_path, text)
+        assert result.focal_lengths == focals
+    # What a writer rounds away is no difference.
+    almost = calibration_of(tmp_path, MIDDLEBURY.replace("0 999.421 2", "0 999.42100001 2"))
+    assert almost.focal_y is None
+    projection = np.array([[700.0, 0, 320, 0], [0, 710, 240, 0], [0, 0, 1, 0]])
+    right = projection.copy()
+    right[0, 3] = -700 * BASELINE
+    opencv_file(tmp_path / "stereo.yml", P1=projection, P2=right)
+    assert read_calibration(tmp_path / "stereo.yml").focal_lengths == (700, 710)
+    # The same camera as Q, whose rows for x and y may have factors of their own.
+    q = np.diag([1.0, 700 / 710, 0, 0])
+    q[0, 3], q[1, 3], q[2, 3], q[3, 2] = -320, -240 * 700 / 710, 700, 1 / BASELINE
+    opencv_file(tmp_path / "stereo.yml", P1=None, P2=None, Q=q)
+    result = read_calibration(tmp_path / "stereo.yml")
+    assert result.focal_lengths == pytest.approx((700, 710))
+    assert (result.cx, result.cy, result.baseline) == pytest.approx((320, 240, BASELINE))
+    # A file written from it has them, too.
+    write_calibration(tmp_path / "calib.txt", result, (640, 480))
+    assert read_calibration(tmp_path / "calib.txt").focal_lengths == pytest.approx((700, 710))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (MIDDLEBURY.replace("cam1=[999.421", "cam1=[990.0"), "999.421 px .left. and 990 px"),
+        (KITTI_2015.replace("P_rect_03: 7.2e+02", "P_rect_03: 7.3e+02"), "horizontal focal"),
+        (KITTI_2015.replace("-3.6e+02 0 7.2e+02", "-3.6e+02 0 7.3e+02"), "vertical focal"),
+        (MIDDLEBURY.replace("252.932; 0 0 1]\nd", "262.932; 0 0 1]\nd"), "rows 252.932"),
+    ],
+)
+def test_views_that_are_not_rectified_are_refused(tmp_path, text, message):
+    with pytest.raises(InputError, match=rf"calib\.txt: .*{message}.*not rectified"):
+        calibration_of(tmp_path, text)
+
+
 def opencv_file(path, unit=1.0, **values):
     """Write with OpenCV's own writer what OpenCV's own rectification gives."""
     intrinsics = np.array([[FOCAL, 0, LEFT_CX], [0, FOCAL, CY], [0, 0, 1]])
@@ -167,8 +209,9 @@ def opencv_file(path, unit=1.0, **values):
 
 @pytest.mark.parametrize("left_out", [{"Q": None}, {"P1": None, "P2": None}])
 @pytest.mark.parametrize("unit", [None, "m", "mm"])
-def test_opencv(tmp_path, left_out, unit):
-    path = tmp_path / "extrinsics.yml"
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
+def test_opencv(tmp_path, left_out, unit, ending):
+    path = tmp_path / f"extrinsics.{ending}"
     x, y, z = opencv_file(path, unit=1000 if unit == "mm" else 1, **left_out)
     result = read_calibration(path, unit=unit)
     depth = result.focal * result.baseline / (20 + result.doffs)
@@ -177,6 +220,14 @@ def test_opencv(tmp_path, left_out, unit):
     assert (240 - result.cy) / result.focal * depth == pytest.approx(y, abs=1e-5)
     assert result.baseline == pytest.approx(BASELINE)
     assert result.doffs != 0
+
+
+def test_opencv_without_a_header(tmp_path):
+    opencv_file(tmp_path / "stereo.yml")
+    header, _, body = (tmp_path / "stereo.yml").read_text().partition("---\n")
+    assert header.startswith("%YAML")
+    for text in (body, "---\n" + body, "%YAML:1.0\n" + body):
+        assert calibration_of(tmp_path, text) == read_calibration(tmp_path / "stereo.yml")
 
 
 def test_opencv_refused(tmp_path):
@@ -203,12 +254,15 @@ def test_opencv_refused(tmp_path):
     ("text", "message"),
     [
         (ROS_LEFT, "left camera's file"),
-        (ROS_RIGHT.replace("1.0, 0.0]", "1.0]"), "projection_matrix must hold 12 numbers"),
+        (ROS_RIGHT.replace("1.0, 0.0]", "1.0]"), "projection_matrix must hold 3 x 4 numbers"),
         (ROS_RIGHT.replace("-84.0", "84.0"), "baseline must be positive.*-0.12.*swapped"),
         (ROS_RIGHT.replace("data: [700.0", "data: [-700.0"), "focal must be positive"),
-        (ROS_RIGHT + "  - [", "not a camera file in YAML"),
-        ("%YAML:1.0\n---\njust a word\n", "not a camera file in YAML: it has no names"),
-        ("%YAML:1.0\n---\nQ: !!opencv-matrix\n  rows: 4\n", "not a camera file in YAML"),
+        (ROS_RIGHT + "  - [", "not a camera file"),
+        ("- a\n- b:\n  P: 1\n", "not a camera file: it has no names"),
+        ("%YAML:1.0\n---\njust a word\n", "not a camera file: .*parse"),
+        ("%YAML:1.0\n---\nQ: !!opencv-matrix\n  rows: 4\n", "Q must hold 4 x 4 numbers"),
+        ('<?xml version="1.0"?>\n<opencv_storage><Q>1</P></opencv_storage>', "not a camera file"),
+        ('{"Q": [1, 2', "not a camera file"),
     ],
 )
 def test_refused_yaml(tmp_path, text, message):
@@ -217,7 +271,14 @@ def test_refused_yaml(tmp_path, text, message):
 
 
 @pytest.mark.parametrize(
-    "values", [{"focal": 0.0}, {"baseline": -1.0}, {"baseline": np.nan}, {"doffs": np.inf}]
+    "values",
+    [
+        {"focal": 0.0},
+        {"focal_y": -1.0},
+        {"baseline": -1.0},
+        {"baseline": np.nan},
+        {"doffs": np.inf},
+    ],
 )
 def test_impossible_values_are_named(values):
     with pytest.raises(InputError, match=f"{next(iter(values))} must be"):

@@ -1,5 +1,6 @@
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,6 +50,8 @@ def test_points_lie_where_the_pinhole_camera_says():
     np.testing.assert_array_equal(cloud.colours, [[0, 1, 2], [6, 7, 8], [12, 13, 14]])
     centred = point_cloud(depth, colours, Calibration(focal=100.0, baseline=0.5))
     np.testing.assert_allclose(centred.points[0], [-1 * 0.02, -0.5 * 0.02, 2], rtol=1e-6)
+    oblong = point_cloud(depth, colours, replace(CALIBRATION, focal_y=50.0))
+    np.testing.assert_allclose(oblong.points, cloud.points * [1, 2, 1], rtol=1e-6)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mobilestereonet.data.camera_yaml import StereoRig
+from mobilestereonet.data.camera_files import StereoRig
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.rectify import rectify_pair
 

@@ -15,7 +15,7 @@ Calib: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         help="Calibration of the rectified pair: Middlebury / ETH3D calib.txt, KITTI, ROS "
-        "camera_info of the right camera, or OpenCV YAML with P1 and P2 or Q."
+        "camera_info of the right camera, or OpenCV (YAML, XML, JSON) with P1 and P2 or Q."
     ),
 ]
 CalibLeft: TypeAlias = Annotated[
@@ -24,7 +24,9 @@ CalibLeft: TypeAlias = Annotated[
 Unit: TypeAlias = Annotated[
     str | None, typer.Option(help="Unit of lengths in an OpenCV calibration: m or mm.")
 ]
-Focal: TypeAlias = Annotated[float | None, typer.Option(help="Focal length in px.")]
+Focal: TypeAlias = Annotated[
+    float | None, typer.Option(help="Focal length in px, of square pixels.")
+]
 Baseline: TypeAlias = Annotated[
     float | None, typer.Option(help="Distance between the cameras in metres.")
 ]
@@ -48,7 +50,7 @@ def calibration_from(
         InputError: If a file or a value is bad, or the options contradict each other.
     """
     from mobilestereonet.data import Calibration, read_calibration
-    from mobilestereonet.data.camera_yaml import WIDEST
+    from mobilestereonet.data.camera_files import MAX_PLAUSIBLE_BASELINE_M
     from mobilestereonet.errors import InputError
 
     numbers = [value is not None for value in (focal, baseline)]
@@ -57,7 +59,7 @@ def calibration_from(
             raise InputError(f"{calib} has focal length, baseline and doffs: leave the options out")
         return read_calibration(calib, left=calib_left, unit=unit)
     if focal is not None and baseline is not None:
-        if baseline > WIDEST:
+        if baseline > MAX_PLAUSIBLE_BASELINE_M:
             say = f"is it in metres? {baseline:g} mm would be {baseline / 1000:g}"
             print(f"msnet: a baseline of {baseline:g} m: {say}", file=sys.stderr)
         return Calibration(focal=focal, baseline=baseline, doffs=doffs)

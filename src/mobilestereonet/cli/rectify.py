@@ -14,7 +14,8 @@ def rectify(
     calib: Annotated[
         list[Path],
         typer.Option(
-            help="OpenCV stereo calibration in YAML: M1 D1 M2 D2 R T. Repeat if it is in two files."
+            help="OpenCV stereo calibration (YAML, XML, JSON): M1 D1 M2 D2 R T. Repeat if it is in "
+            "two files."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
@@ -30,7 +31,7 @@ def rectify(
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.data import read_image, write_png
     from mobilestereonet.data.calibration import write_calibration
-    from mobilestereonet.data.camera_yaml import read_rig
+    from mobilestereonet.data.camera_files import read_rig
     from mobilestereonet.inference.rectify import rectify_pair
 
     rig = read_rig(*calib, unit=unit)

@@ -1,4 +1,4 @@
-"""The record that every data set gives and every consumer takes."""
+"""The records of a stereo pair: `StereoSample` and its `Calibration`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,14 @@ class Calibration:
     Depth is ``focal * baseline / (disparity + doffs)``.
 
     Attributes:
-        focal: Focal length of the rectified cameras, in pixels.
+        focal: Horizontal focal length of the rectified cameras, in pixels.
         baseline: Distance between the camera centres, in metres.
         doffs: Difference of the principal points, right minus left, in pixels.
         cx: Column of the left view's principal point, in pixels; None if unknown.
         cy: Row of the left view's principal point, in pixels; None if unknown.
         size: Width and height of the views that it belongs to, in pixels; None if unknown.
+        focal_y: Vertical focal length, in pixels; None if it is the horizontal one. Depth does
+            not depend on it, the height of points does.
     """
 
     focal: float
@@ -34,11 +36,12 @@ class Calibration:
     cx: float | None = None
     cy: float | None = None
     size: tuple[int, int] | None = None
+    focal_y: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("focal", "baseline"):
+        for name in ("focal", "focal_y", "baseline"):
             value = getattr(self, name)
-            if not 0 < value < math.inf:
+            if value is not None and not 0 < value < math.inf:
                 hint = ": are the cameras swapped?" if name == "baseline" and value < 0 else ""
                 raise InputError(
                     f"calibration: {name} must be positive and finite, got {value:g}{hint}"
@@ -50,6 +53,11 @@ class Calibration:
             raise InputError(
                 f"calibration: width and height must be positive and finite, got {self.size}"
             )
+
+    @property
+    def focal_lengths(self) -> tuple[float, float]:
+        """Horizontal and vertical focal length, in pixels."""
+        return self.focal, self.focal if self.focal_y is None else self.focal_y
 
     def require_size(self, width: int, height: int) -> None:
         """Check that the calibration is one of views of this size.
@@ -66,7 +74,7 @@ class Calibration:
         scale = width / self.size[0]
         if abs(height - scale * self.size[1]) <= 1:
             message += (
-                f"; if they were only resized, multiply its focal length, principal points and "
+                f"; if they were only resized, multiply its focal lengths, principal points and "
                 f"doffs by {scale:.6g} (focal {self.focal * scale:.6g}, doffs "
                 f"{self.doffs * scale:.6g})"
             )

@@ -133,7 +133,8 @@ def point_cloud(depth: FloatMap, colours: Picture, calibration: Calibration) -> 
     cx, cy = calibration.principal_point(width, height)
     rows, columns = np.nonzero(depth)
     z = depth[rows, columns]
-    x, y = (columns - cx) * z / calibration.focal, (rows - cy) * z / calibration.focal
+    fx, fy = calibration.focal_lengths
+    x, y = (columns - cx) * z / fx, (rows - cy) * z / fy
     return PointCloud(
         points=np.stack((x, y, z), axis=1).astype(np.float32), colours=colours[rows, columns]
     )

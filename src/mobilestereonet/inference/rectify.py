@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.data.camera_yaml import StereoRig, from_projections
+from mobilestereonet.data.calibration import from_projections
+from mobilestereonet.data.camera_files import StereoRig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
