@@ -11,6 +11,8 @@ from mobilestereonet.data.files import read_pfm, write_pfm, write_png
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import (
+    BENCHMARKS,
+    Benchmark,
     Submission,
     check_submission,
     open_benchmark,
@@ -60,7 +62,7 @@ def test_names_that_middlebury_takes():
     ("arguments", "word"),
     [
         (("kitti2016", "m"), "unknown benchmark 'kitti2016'"),
-        (("middlebury", "m", "X"), "size is Q, H or F, got 'X'"),
+        (("middlebury", "m", "X"), "size is one of Q, H, F, got 'X'"),
         (("middlebury", "a/b"), "'a/b'"),
         (("middlebury", "ours_s"), "no _s at the end"),
         (("kitti2015", "m", "Q", True), "training scenes alone"),
@@ -237,6 +239,21 @@ def test_command(tmp_path, capsys):
     with zipfile.ZipFile(tmp_path / "out.zip") as file:
         values = cv2.imdecode(np.frombuffer(file.read("000194_10.png"), np.uint8), -1)
     assert values.shape == (16, 32) and np.median(values) == 4 * 256
+
+
+def test_a_benchmark_is_one_entry(tmp_path, monkeypatch):
+    """A new one, of two pairs of a folder, needs nothing else."""
+    for side in ("left", "right"):
+        for index in range(2):
+            write_png(tmp_path / side / f"{index}.png", np.full((4, 6, 3), 9, np.uint8))
+    entry = Benchmark("folder", {"all": ["0", "1"]}, "{method}/{scene}.pfm", sizes=())
+    monkeypatch.setitem(BENCHMARKS, "mine", entry)
+    plan = plan_submission("mine", "m")
+    assert plan.maps == {"0": "m/0.pfm", "1": "m/1.pfm"} and not plan.runtimes
+    (pairs,) = open_benchmark("mine", tmp_path)
+    write_submission(plan, _match, (pairs[i] for i in range(2)), tmp_path / "out.zip")
+    with pytest.raises(InputError, match="unknown benchmark 'other'"):
+        open_benchmark("other", tmp_path)
 
 
 def test_an_incomplete_benchmark_is_refused_before_any_work(tmp_path):

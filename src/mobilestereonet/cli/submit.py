@@ -12,7 +12,10 @@ from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime
 
 def submit(
     benchmark: Annotated[
-        str, typer.Argument(help="kitti2015, kitti2012, middlebury or eth3d.", metavar="BENCHMARK")
+        str,
+        typer.Argument(
+            help="Benchmark, such as kitti2015, kitti2012, middlebury, eth3d.", metavar="BENCHMARK"
+        ),
     ],
     root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],

@@ -1,5 +1,12 @@
 """Evaluation on data sets and benchmark submissions."""
 
+from mobilestereonet.evaluation.benchmarks import (
+    BENCHMARKS,
+    Benchmark,
+    Submission,
+    open_benchmark,
+    plan_submission,
+)
 from mobilestereonet.evaluation.evaluate import (
     Evaluation,
     EvaluationProtocol,
@@ -13,17 +20,11 @@ from mobilestereonet.evaluation.sparsification import (
     plot_sparsification,
     sparsification,
 )
-from mobilestereonet.evaluation.submit import (
-    BENCHMARKS,
-    Submission,
-    check_submission,
-    open_benchmark,
-    plan_submission,
-    write_submission,
-)
+from mobilestereonet.evaluation.submit import check_submission, write_submission
 
 __all__ = [
     "BENCHMARKS",
+    "Benchmark",
     "DisparityFn",
     "Evaluation",
     "EvaluationProtocol",
