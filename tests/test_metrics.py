@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from rich.console import Console
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
@@ -248,3 +249,15 @@ def test_bad_input():
         StereoMetrics().update(torch.zeros(1, 1, 1), batch)
     with pytest.raises(InputError, match="no ground truth"):
         StereoMetrics().update(torch.zeros(1, 1, 2), replace(batch, disparity=None))
+
+
+@pytest.mark.parametrize("devices", [*itertools.product(("cpu", "lazy"), repeat=3)])
+def test_prediction_truth_and_sums_may_lie_on_different_devices(devices):
+    """Fake tensors of another device ("lazy" stands for a GPU) need no such device."""
+    prediction_on, truth_on, sums_on = map(torch.device, devices)
+    maps = {"occluded": [[True, False]], "foreground": [[True, False]]}
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        metrics = StereoMetrics().to(sums_on)
+        batch = collate([_sample([[10, 10]], **maps)]).to(truth_on)
+        metrics.update(torch.zeros(1, 1, 2, device=prediction_on), batch)
+        assert metrics.image_sums.device == metrics.pixels.device == sums_on

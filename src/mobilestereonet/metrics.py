@@ -188,7 +188,8 @@ class StereoMetrics(Metric):
 
         Args:
             prediction: Disparity in px, (B, H, W). A value that is not finite is an outlier.
-            batch: The samples with ground truth, (B, H, W) maps.
+            batch: The samples with ground truth, (B, H, W) maps, on any device: what is scored
+                is moved to the prediction's.
 
         Raises:
             InputError: If there is no ground truth or the shapes differ.
@@ -200,21 +201,25 @@ class StereoMetrics(Metric):
                 f"{batch.name or 'prediction'}: a (B, H, W) prediction must have its ground "
                 f"truth's shape, got {tuple(prediction.shape)} and {tuple(batch.disparity.shape)}"
             )
-        truth = batch.disparity.float()
-        figures = self._pixel_figures(prediction.float(), truth)
-        scored = batch.valid & (truth > 0) & (truth < self.max_disparity)
-        known = batch.valid.sum((1, 2))
-        skipped = scored.sum((1, 2)) < self.min_share * known
+        truth, valid = (_beside(prediction, truth) for truth in (batch.disparity, batch.valid))
+        figures = self._pixel_figures(prediction.float(), truth.float())
+        scored = valid & (truth > 0) & (truth < self.max_disparity)
+        skipped = scored.sum((1, 2)) < self.min_share * valid.sum((1, 2))
         for index, mask in _masks(scored, batch):
             pixels = torch.where(skipped, 0, mask.sum((1, 2)))
             sums = torch.stack([_masked_sum(figure, mask) for figure in figures], dim=1)
             counted = pixels > 0
-            self.image_sums[index] += (sums[counted] / pixels[counted, None]).sum(0)
-            self.pixel_sums[index] += sums[counted].sum(0)
-            self.images[index] += counted.sum()
-            self.empty[index] += (~counted & ~skipped).sum()
-            self.skipped[index] += skipped.sum()
-            self.pixels[index] += pixels.sum()
+            sums = torch.where(counted[:, None], sums, 0)
+            means = sums / pixels.clamp_min(1)[:, None]
+            for state, value in (
+                (self.image_sums, means.sum(0)),
+                (self.pixel_sums, sums.sum(0)),
+                (self.images, counted.sum()),
+                (self.empty, (~counted & ~skipped).sum()),
+                (self.skipped, skipped.sum()),
+                (self.pixels, pixels.sum()),
+            ):
+                state[index] += value.to(state.device)
 
     def compute(self) -> StereoScores:
         """The figures of all that was added, over all ranks."""
@@ -245,11 +250,18 @@ def _masks(scored: Tensor, batch: StereoSample) -> Iterator[tuple[int, Tensor]]:
     """The masks that this batch has, each with its place in `MASKS`."""
     yield 0, scored
     if batch.occluded is not None:
-        yield 1, scored & ~batch.occluded
-        yield 2, scored & batch.occluded
+        occluded = _beside(scored, batch.occluded)
+        yield 1, scored & ~occluded
+        yield 2, scored & occluded
     if batch.foreground is not None:
-        yield 3, scored & batch.foreground
-        yield 4, scored & ~batch.foreground
+        foreground = _beside(scored, batch.foreground)
+        yield 3, scored & foreground
+        yield 4, scored & ~foreground
+
+
+def _beside(other: Tensor, values: Tensor) -> Tensor:
+    """The values on the device of ``other``."""
+    return values.to(other.device)
 
 
 def _masked_sum(figure: Tensor, mask: Tensor) -> Tensor:
