@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rich.console import Console
 from torch._subclasses.fake_tensor import FakeTensorMode
 
@@ -143,19 +145,24 @@ def _flat(scores: StereoScores) -> list[float]:
 
 def _add(metrics: StereoMetrics, pairs, batch_size: int) -> StereoMetrics:
     for start in range(0, len(pairs), batch_size):
-        predictions, samples = zip(*pairs[start : start + batch_size], strict=True)
-        metrics.update(torch.stack(predictions), collate(samples))
+        _add_batch(metrics, pairs[start : start + batch_size])
     return metrics
 
 
-def test_batch_size_and_order_do_not_matter():
+def _add_batch(metrics: StereoMetrics, pairs) -> None:
+    predictions, samples = zip(*pairs, strict=True)
+    metrics.update(torch.stack(predictions), collate(samples))
+
+
+@settings(max_examples=30, deadline=None)
+@given(order=st.permutations(range(7)), cuts=st.sets(st.integers(1, 6)))
+def test_any_split_into_batches_and_any_order_give_the_same(order, cuts):
     pairs = _random_pairs(7)
     expected = _flat(_add(StereoMetrics(), pairs, 1).compute())
-    for batch_size, backwards in itertools.product((2, 3, 7), (False, True)):
-        shuffled = pairs[::-1] if backwards else pairs
-        assert _flat(_add(StereoMetrics(), shuffled, batch_size).compute()) == pytest.approx(
-            expected, rel=1e-13
-        )
+    metrics = StereoMetrics()
+    for start, end in itertools.pairwise([0, *sorted(cuts), 7]):
+        _add_batch(metrics, [pairs[index] for index in order[start:end]])
+    assert _flat(metrics.compute()) == pytest.approx(expected, rel=1e-13)
 
 
 def test_sums_do_not_lose_small_errors():

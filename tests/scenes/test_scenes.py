@@ -1,5 +1,6 @@
 """Procedural scenes against closed-form geometry."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
@@ -191,16 +194,29 @@ def test_texels_are_sampled_bilinearly_mirrored_and_averaged():
     torch.testing.assert_close(colour, torch.tensor(expected, dtype=torch.float32))
 
 
-def test_a_scene_does_not_depend_on_its_batch_or_on_global_random_state(scenes):
-    together = scenes.batch([11, 3, 8])
-    torch.manual_seed(5)
-    np.random.seed(5)
-    alone = ProceduralScenes(SMALL)[3]
-    assert together.name == "scene 11,scene 3,scene 8"
-    assert ((together.disparity[1] - alone.disparity).abs() < 1e-3).float().mean() > 0.999
-    for a, b in ((together.left[1], alone.left), (together.right[1], alone.right)):
-        assert ((a - b).abs() < 1 / 255).float().mean() > 0.999
-    assert torch.equal(together.occluded[1], alone.occluded)
+@pytest.fixture(scope="module")
+def alone(scenes):
+    """Scenes rendered one by one, each once."""
+    return functools.cache(lambda index: scenes[index])
+
+
+@settings(max_examples=12, deadline=None)
+@given(indices=st.lists(st.integers(0, 9), min_size=1, max_size=4), noise=st.integers(0, 2**32 - 1))
+def test_a_scene_does_not_depend_on_its_batch_or_on_global_random_state(
+    scenes, alone, indices, noise
+):
+    torch.manual_seed(noise)
+    np.random.seed(noise)
+    together = scenes.batch(indices)
+    assert together.name == ",".join(f"scene {index}" for index in indices)
+    for place, index in enumerate(indices):
+        expected = alone(index)
+        same = (together.disparity[place] - expected.disparity).abs() < 1e-3
+        assert same.float().mean() > 0.999
+        for side in ("left", "right"):
+            change = getattr(together, side)[place] - getattr(expected, side)
+            assert (change.abs() < 1 / 255).float().mean() > 0.999
+        assert (together.occluded[place] == expected.occluded).float().mean() > 0.999
 
 
 def test_index_and_seed_change_the_scene(scenes):
