@@ -12,13 +12,16 @@ import torch
 from torch.utils.data import DataLoader
 
 from mobilestereonet.data import (
-    KITTI2015,
-    SceneFlow,
+    PairFolder,
     collate,
     data_sets,
     occlusion_from_right_view,
     open_data_set,
+    register_data_set,
 )
+from mobilestereonet.data.scanners import registry
+from mobilestereonet.data.scanners.kitti import KITTI2015
+from mobilestereonet.data.scanners.sceneflow import SceneFlow
 from mobilestereonet.errors import InputError
 
 H, W = 4, 12
@@ -582,6 +585,20 @@ def test_registry(tmp_path):
             FileNotFoundError, match=rf"nothing found in {tmp_path}: no \S+\.(png|jpg)"
         ):
             open_data_set(name, tmp_path)
+
+
+def test_a_data_set_is_registered_by_its_decorator(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
+
+    @register_data_set("mine")
+    class Mine(PairFolder):
+        pass
+
+    assert data_sets()["mine"] is Mine
+    with pytest.raises(FileNotFoundError, match=r"Mine \(all\): nothing found"):
+        open_data_set("mine", tmp_path)
+    with pytest.raises(InputError, match="data set 'mine' is Mine already"):
+        register_data_set("mine")(KITTI2015)
 
 
 def test_occlusion_from_right_view():

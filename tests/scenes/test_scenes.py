@@ -379,7 +379,7 @@ TINY = replace(SMALL, height=32, width=48, max_disparity=24, noise_textures=4, t
 )
 def test_extreme_settings_work(change):
     scenes = ProceduralScenes(replace(TINY, **change))
-    for index in range(8):
+    for index in range(3):
         sample = scenes.batch([index])
         assert sample.left.isfinite().all() and sample.disparity.isfinite().all()
 

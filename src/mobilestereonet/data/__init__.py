@@ -1,4 +1,4 @@
-"""Stereo pairs: the sample record, files, public data sets, procedural scenes, augmentation."""
+"""Stereo pairs: the sample record, files, public data sets, augmentation."""
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.calibration import read_calibration
@@ -14,48 +14,23 @@ from mobilestereonet.data.files import read_image, read_pfm, write_npy, write_pf
 from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample, collate
 from mobilestereonet.data.scanners import (
-    ETH3D,
-    KITTI2012,
-    KITTI2015,
-    DrivingStereo,
     Frame,
-    MiddEval3,
-    Middlebury2003,
-    Middlebury2005,
-    Middlebury2006,
-    Middlebury2014,
-    Middlebury2021,
     PairFolder,
-    SceneFlow,
-    Sintel,
     StereoDataSet,
-    VirtualKITTI2,
     data_sets,
     occlusion_from_right_view,
     open_data_set,
+    register_data_set,
 )
 
 __all__ = [
-    "ETH3D",
-    "KITTI2012",
-    "KITTI2015",
     "Calibration",
-    "DrivingStereo",
     "FloatMap",
     "Frame",
     "Mask",
-    "MiddEval3",
-    "Middlebury2003",
-    "Middlebury2005",
-    "Middlebury2006",
-    "Middlebury2014",
-    "Middlebury2021",
     "PairFolder",
-    "SceneFlow",
-    "Sintel",
     "StereoDataSet",
     "StereoSample",
-    "VirtualKITTI2",
     "collate",
     "data_sets",
     "image_to_tensor",
@@ -69,6 +44,7 @@ __all__ = [
     "read_disparity_vkitti2",
     "read_image",
     "read_pfm",
+    "register_data_set",
     "write_atomically",
     "write_disparity_png",
     "write_npy",

@@ -9,9 +9,11 @@ from typing import ClassVar
 from mobilestereonet.data.disparity_files import read_disparity_png
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
+@register_data_set("drivingstereo")
 class DrivingStereo(StereoDataSet):
     """DrivingStereo: street scenes of a whole year with a laser's ground truth.
 

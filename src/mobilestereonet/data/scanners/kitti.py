@@ -15,6 +15,7 @@ from mobilestereonet.data.disparity_files import (
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
@@ -59,6 +60,7 @@ class _Kitti(StereoDataSet):
         return read_calibration(path, self.cameras) if path.is_file() else None
 
 
+@register_data_set("kitti2012")
 class KITTI2012(_Kitti):
     """KITTI 2012: 194 street scenes with the laser's ground truth, 195 without.
 
@@ -102,6 +104,7 @@ class KITTI2012(_Kitti):
         super().__init__(root, split, strict=strict)
 
 
+@register_data_set("kitti2015")
 class KITTI2015(_Kitti):
     """KITTI 2015: 200 street scenes with ground truth of laser and car models, 200 without.
 
@@ -155,6 +158,7 @@ class KITTI2015(_Kitti):
         return read_levels(path) > 0 if path.is_file() else None
 
 
+@register_data_set("vkitti2")
 class VirtualKITTI2(StereoDataSet):
     """Virtual KITTI 2: five KITTI drives rendered in ten variations, 21,260 pairs.
 

@@ -11,6 +11,7 @@ from mobilestereonet.data.disparity_files import read_disparity_pfm, read_levels
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
@@ -49,6 +50,7 @@ class _CalibratedScenes(StereoDataSet):
         return read_calibration(path) if path.is_file() else None
 
 
+@register_data_set("middlebury2014")
 class Middlebury2014(_CalibratedScenes):
     """Middlebury 2014: 23 indoor scenes of 6 megapixels with public ground truth.
 
@@ -95,6 +97,7 @@ class Middlebury2014(_CalibratedScenes):
         return [f"*-{self.rectification}/im0.png"]
 
 
+@register_data_set("middlebury2021")
 class Middlebury2021(_CalibratedScenes):
     """Middlebury 2021: 24 indoor scenes taken with a mobile phone on a robot arm.
 
@@ -118,6 +121,7 @@ class Middlebury2021(_CalibratedScenes):
         return ["*/im0.png", "data/*/im0.png"]
 
 
+@register_data_set("middeval3")
 class MiddEval3(_CalibratedScenes):
     """Middlebury's third evaluation: 15 training scenes, 15 test scenes, in three sizes.
 
@@ -164,6 +168,7 @@ class MiddEval3(_CalibratedScenes):
         return [inner, f"MiddEval3/{inner}"]
 
 
+@register_data_set("eth3d")
 class ETH3D(_CalibratedScenes):
     """ETH3D two-view: 27 grey pairs with the laser's ground truth, 20 without.
 

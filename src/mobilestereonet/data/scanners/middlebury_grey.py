@@ -10,6 +10,7 @@ from mobilestereonet.data.disparity_files import read_disparity_png
 from mobilestereonet.data.files import decode_image
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
@@ -73,6 +74,7 @@ class _GreyLevelScenes(StereoDataSet):
         return occlusion_from_right_view(disparity, valid, *self.read_disparity(right))
 
 
+@register_data_set("middlebury2003")
 class Middlebury2003(_GreyLevelScenes):
     """Middlebury 2003: the scenes cones and teddy.
 
@@ -101,6 +103,7 @@ class Middlebury2003(_GreyLevelScenes):
     reductions = (4, 2, 1)
 
 
+@register_data_set("middlebury2005")
 class Middlebury2005(_GreyLevelScenes):
     """Middlebury 2005: nine scenes, six of them with public ground truth.
 
@@ -135,6 +138,7 @@ class Middlebury2005(_GreyLevelScenes):
         return [view for view in views if (view.parent.name in self.without_truth) == wanted]
 
 
+@register_data_set("middlebury2006")
 class Middlebury2006(_GreyLevelScenes):
     """Middlebury 2006: 21 scenes, with the files of 2005.
 

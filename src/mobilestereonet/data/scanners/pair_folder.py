@@ -12,11 +12,13 @@ from mobilestereonet.data.disparity_files import read_disparity
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 _WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
 
 
+@register_data_set("folder")
 class PairFolder(StereoDataSet):
     """Pairs in any folder, found by patterns.
 

@@ -10,9 +10,11 @@ from mobilestereonet.data.disparity_files import read_disparity_pfm
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
+@register_data_set("sceneflow")
 class SceneFlow(StereoDataSet):
     """The synthetic set of Mayer et al. (CVPR 2016), in the paper's selection.
 

@@ -11,9 +11,11 @@ import numpy as np
 from mobilestereonet.data.disparity_files import read_disparity_sintel, read_levels
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
+from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
 
+@register_data_set("sintel")
 class Sintel(StereoDataSet):
     """MPI Sintel stereo: 1,064 frames of 23 film scenes.
 

@@ -1,0 +1,74 @@
+"""Registry of the data sets that can be opened by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from mobilestereonet.data.scanners.base import StereoDataSet
+from mobilestereonet.errors import InputError
+
+_Scanner = TypeVar("_Scanner", bound=type[StereoDataSet])
+_REGISTRY: dict[str, type[StereoDataSet]] = {}
+
+
+def register_data_set(name: str) -> Callable[[_Scanner], _Scanner]:
+    """Class decorator that makes a data set known by name, on the command line too.
+
+    Args:
+        name: What `open_data_set` takes.
+
+    Raises:
+        InputError: If another class has the name.
+    """
+
+    def register(scanner: _Scanner) -> _Scanner:
+        if name in _REGISTRY:
+            raise InputError(f"data set {name!r} is {_REGISTRY[name].__name__} already")
+        _REGISTRY[name] = scanner
+        return scanner
+
+    return register
+
+
+def data_sets() -> dict[str, type[StereoDataSet]]:
+    """Every data set that can be opened by name."""
+    return dict(_REGISTRY)
+
+
+def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
+    """Open a data set by name.
+
+    Args:
+        name: A key of `data_sets`.
+        root: Folder in which the data set's archives were unpacked.
+        **options: Arguments of the class, such as ``split``.
+
+    Returns:
+        The data set, scanned and checked.
+
+    Raises:
+        FileNotFoundError: If nothing is found, or a file of a frame is missing.
+        InputError: If the name or an option is unknown, or an option's value of the wrong type.
+    """
+    known = data_sets()
+    if name not in known:
+        raise InputError(f"unknown data set {name!r}, choose one of {', '.join(known)}")
+    hints = get_type_hints(known[name].__init__)
+    del hints["root"], hints["return"]
+    for option, value in options.items():
+        if option not in hints:
+            raise InputError(f"{name} has no option {option!r}, only {', '.join(hints)}")
+        _check_type(f"{name}: {option}", value, hints[option])
+    return known[name](root, **options)
+
+
+def _check_type(name: str, value: Any, hint: Any) -> None:
+    """Refuse what a command line may give in place of a value of the hinted type."""
+    kinds = get_args(hint) or (hint,)
+    if float in kinds:
+        kinds += (int,)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        wanted = "true or false" if hint is bool else getattr(hint, "__name__", hint)
+        raise InputError(f"{name} must be {wanted}, got {value!r}")
