@@ -17,14 +17,14 @@ from rich.progress import track
 
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
-from mobilestereonet.scenes.builder import turns
+from mobilestereonet.scenes.builder import yaw_rotations
 from mobilestereonet.scenes.scene import Scene
 from mobilestereonet.streams.video_files import write_video
 
 
 def moved(scene: Scene, place: np.ndarray, turn: float) -> Scene:
     """The scene as cameras see it that went to ``place`` (m) and turned right by ``turn``."""
-    rotation = turns(-turn)[0]
+    rotation = yaw_rotations(-turn)[0]
     surfaces = scene.surfaces
     return replace(
         scene,
@@ -43,9 +43,9 @@ class MovingCamera(ProceduralScenes):
 
     def __init__(self, config: SceneConfig, scene: int, frames: int) -> None:
         super().__init__(config)
-        self.scene, self.frames = super().layout(scene), frames
+        self.scene, self.frames = super().scene(scene), frames
 
-    def layout(self, index: int) -> Scene:
+    def scene(self, index: int) -> Scene:
         scene, share = self.scene, index / self.frames
         reach = scene.spread / 2.5  # the distance of the nearest things
         sideways = 0.25 * reach * np.sin(2 * np.pi * share)

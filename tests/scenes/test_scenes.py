@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
-from mobilestereonet.scenes.places import PLACES
+from mobilestereonet.scenes.layouts import LAYOUTS
 from mobilestereonet.scenes.render import render_scenes
 from mobilestereonet.scenes.scene import (
     CYLINDER,
@@ -240,7 +240,7 @@ def test_the_right_view_warped_by_the_disparity_is_the_left_view(scenes):
     assert hidden > 5 * seen
 
 
-@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize("kind", LAYOUTS)
 def test_every_layout_covers_the_view(kind):
     config = replace(SMALL, kinds={kind: 1.0})
     sample = ProceduralScenes(config).batch([0, 1, 2])
@@ -279,7 +279,7 @@ def test_more_rays_smooth_the_image_and_leave_the_truth():
 
 
 def test_a_sample_knows_its_calibration(scenes):
-    sample, scene = scenes[6], scenes.layout(6)
+    sample, scene = scenes[6], scenes.scene(6)
     assert sample.left.shape == (3, 64, 128) and sample.disparity.shape == (64, 128)
     assert sample.calibration.focal == scene.focal and sample.calibration.cx == scene.cx
     assert sample.calibration.baseline == scene.baseline > 0
@@ -310,13 +310,13 @@ def test_large_near_surfaces_can_be_textureless(scenes):
         bare = ProceduralScenes(replace(SMALL, textureless=chance))
         faded, large, far = [], [], []
         for index in range(12):
-            before, after = scenes.layout(index).surfaces, bare.layout(index).surfaces
+            before, after = scenes.scene(index).surfaces, bare.scene(index).surfaces
             change = after.contrast / before.contrast
             assert ((change == 1) | ((change > 0.009) & (change < 0.101))).all()
             depth = before.centre[:, 2].clip(1e-6)
             half = np.linalg.norm(before.axes, axis=1)[:, :2].min(1)
             faded.append(change < 1)
-            large.append(half * scenes.layout(index).focal / depth > 0.13 * SMALL.width)
+            large.append(half * scenes.scene(index).focal / depth > 0.13 * SMALL.width)
             far.append(depth > 8 * 8.0)  # no layout's nearest things are beyond 8 m
             for name in ("centre", "axes", "texture", "colour", "density"):
                 assert np.array_equal(getattr(after, name), getattr(before, name))
@@ -386,5 +386,5 @@ def test_extreme_settings_work(change):
 
 def test_many_surfaces_have_materials_of_their_own():
     scenes = ProceduralScenes(replace(TINY, objects=(1500, 1500), kinds={"clutter": 1}))
-    looks = scenes.layout(0).surfaces
+    looks = scenes.scene(0).surfaces
     assert len(np.unique(looks.colour, axis=0)) > 1400

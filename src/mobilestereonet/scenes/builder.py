@@ -1,7 +1,7 @@
-"""The builder that draws a scene's parts and collects them.
+"""Builder of scenes: camera, materials and surfaces, drawn from one random generator.
 
-World frame: x to the right, y down, z ahead, origin at the left camera. The builder turns it into
-the camera's frame: the camera pitches and rolls, the right one stands ``baseline`` along its x.
+World frame: x to the right, y down, z ahead, origin at the left camera. The builder turns it
+into the camera's frame: the camera pitches and rolls, the right one is ``baseline`` along its x.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mobilestereonet.scenes.masks import MASKS
-from mobilestereonet.scenes.noise import NOISE
+from mobilestereonet.scenes.masks import MASK_KINDS
+from mobilestereonet.scenes.noise import NOISE_KINDS
 from mobilestereonet.scenes.scene import (
     MASKED,
     QUADRIC,
@@ -30,7 +30,7 @@ MATERIALS_PER_DRAW = 256
 
 @dataclass
 class Material:
-    """What n surfaces are made of; most fields are those of ``Surfaces``.
+    """Materials of n surfaces; most fields are those of ``Surfaces``.
 
     Attributes:
         angle: Turn of the texture on the surface, in radians, (n,).
@@ -50,7 +50,7 @@ class Material:
 
 @dataclass(frozen=True)
 class _Part:
-    """n surfaces as they were added, in the world frame."""
+    """Surfaces as they were added, n of one shape, in the world frame."""
 
     shape: int
     centre: Floats
@@ -59,8 +59,8 @@ class _Part:
     extras: dict[str, Any]
 
 
-def turns(angles: ArrayLike) -> Floats:
-    """Rotations about the vertical, (n, 3, 3)."""
+def yaw_rotations(angles: ArrayLike) -> Floats:
+    """Rotations about the vertical axis, (n, 3, 3)."""
     angles = np.atleast_1d(np.asarray(angles, dtype=np.float64))
     result = np.zeros((len(angles), 3, 3))
     result[:, 0, 0] = result[:, 2, 2] = np.cos(angles)
@@ -70,20 +70,20 @@ def turns(angles: ArrayLike) -> Floats:
     return result
 
 
-class Builder:
-    """Draws a scene's parts and collects them.
+class SceneBuilder:
+    """Draws the random parts of one scene and collects its surfaces.
 
     Args:
         rng: The scene's generator.
         size: Height and width of the images, in pixels.
-        nearest: Disparity of the nearest things, in pixels.
+        nearest: Disparity of the nearest objects, in pixels.
         near: Their distance, in metres.
         pitch: Range of the camera's pitch (down is positive), in radians.
-        objects: Fewest and most things that float in a scene of clutter.
-        textureless: Chance of each large near surface to have next to no texture.
-        noise: How many textures of the bank are noise.
-        photographs: How many textures of the bank are photographs.
-        masks: How many masks there are.
+        objects: Range of the number of floating objects in a scene of clutter.
+        textureless: Probability that a large near surface has next to no texture.
+        noise: Number of noise textures in the bank.
+        photographs: Number of photographs in the bank.
+        masks: Number of masks.
     """
 
     def __init__(
@@ -149,8 +149,8 @@ class Builder:
         self.choice = rng.random(count) if self.photographs else np.ones(count)
         self.used = 0
 
-    def material(self, count: int, depth: ArrayLike, kind: int | None = None) -> Material:
-        """Materials of surfaces that are seen from ``depth`` metres.
+    def draw_materials(self, count: int, depth: ArrayLike, kind: int | None = None) -> Material:
+        """Draw materials of surfaces that are seen from ``depth`` metres.
 
         If there are photographs, three in four are photographs and the others any noise.
         ``kind`` asks for one kind of noise; then half are photographs.
@@ -161,24 +161,24 @@ class Builder:
         self.used += count
         material = self.stock[part]
         if kind is not None:
-            cycles = max(1, self.noise // len(NOISE))
-            material.texture = kind + len(NOISE) * (material.texture % cycles)
+            cycles = max(1, self.noise // len(NOISE_KINDS))
+            material.texture = kind + len(NOISE_KINDS) * (material.texture % cycles)
             material.texture = np.minimum(material.texture, self.noise - 1)
         chosen = self.choice[part] < (0.75 if kind is None else 0.5)
         material.texture = np.where(chosen, self.photograph[part], material.texture)
         material.density /= np.asarray(depth)
         return material
 
-    def rectangles(
+    def add_rectangles(
         self, centre: Floats, x: Floats, y: Floats, material: Material, **extras: Any
     ) -> None:
-        """Rectangles with half axes ``x`` and ``y``, (n, 3); see ``Surfaces`` for ``extras``."""
+        """Add rectangles with half axes ``x`` and ``y``, (n, 3); ``extras`` as in ``Surfaces``."""
         shape = MASKED if "mask" in extras else RECTANGLE
         axes = np.stack([x, y, y], -1)  # the normal follows in the end, for all at once
         self.parts.append(_Part(shape, centre, axes, material, extras))
 
-    def boxes(self, centre: Floats, axes: Floats, material: Material) -> None:
-        """Boxes with half axes as columns (right, down, ahead), as six faces."""
+    def add_boxes(self, centre: Floats, axes: Floats, material: Material) -> None:
+        """Add boxes with half axes as columns (right, down, ahead), as six faces."""
         count = len(centre)
         outward = np.concatenate([axes, -axes], -1).swapaxes(1, 2)  # (n, 6, 3)
         x = axes[:, :, [2, 0, 0] * 2].swapaxes(1, 2)
@@ -187,12 +187,12 @@ class Builder:
         x = x * np.array([-1, -1, 1, 1, 1, -1])[:, None]
         middle = (centre[:, None] + outward).reshape(-1, 3)
         faces = material[np.repeat(np.arange(count), 6)]
-        self.rectangles(middle, x.reshape(-1, 3), y.reshape(-1, 3), faces, one_sided=True)
+        self.add_rectangles(middle, x.reshape(-1, 3), y.reshape(-1, 3), faces, one_sided=True)
 
-    def quadrics(
+    def add_quadrics(
         self, centre: Floats, axes: Floats, material: Material, kind: ArrayLike = SPHERE
     ) -> None:
-        """Quadrics with half axes as columns; ``kind`` is one or n of SPHERE, CYLINDER ..."""
+        """Add quadrics with half axes as columns; ``kind`` is one or n of SPHERE, CYLINDER ..."""
         self.parts.append(_Part(QUADRIC, centre, axes, material, {"quadric": kind}))
 
     def _surfaces(self) -> Surfaces:
@@ -254,13 +254,13 @@ class Builder:
         chosen = large & (rng.random(count) < self.textureless)
         return np.where(chosen, self.log_uniform(0.01, 0.1, count), 1.0)
 
-    def pick_masks(self, count: int, *kinds: int) -> Ints:
-        """Indices of masks, of any or of the given kinds."""
-        choice = self.rng.choice(kinds or range(len(MASKS)), count)
-        cycle: Ints = self.rng.integers(0, self.masks // len(MASKS), count)
-        return choice + len(MASKS) * cycle
+    def draw_masks(self, count: int, *kinds: int) -> Ints:
+        """Draw indices of masks, of any or of the given kinds."""
+        choice = self.rng.choice(kinds or range(len(MASK_KINDS)), count)
+        cycle: Ints = self.rng.integers(0, self.masks // len(MASK_KINDS), count)
+        return choice + len(MASK_KINDS) * cycle
 
-    def rotations(self, count: int) -> Floats:
+    def random_rotations(self, count: int) -> Floats:
         """Uniformly random rotations, (n, 3, 3)."""
         w, x, y, z = (q := self.rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
         rows = [
@@ -270,8 +270,8 @@ class Builder:
         ]
         return np.moveaxis(np.array(rows), -1, 0)
 
-    def in_view(self, count: int, lowest: float, highest: float) -> Floats:
-        """World positions that are even in the image and, by half, in disparity (px)."""
+    def positions_in_view(self, count: int, lowest: float, highest: float) -> Floats:
+        """Draw world positions, even in the image; half are even in disparity (px)."""
         rng = self.rng
         disparity = np.where(
             rng.random(count) < 0.5,
@@ -286,13 +286,13 @@ class Builder:
         world: Floats = ray * depth[:, None] @ self.rotation
         return world
 
-    def depth(self, centre: Floats) -> Floats:
-        """Distance along the optical axis, at least ``near`` / 2."""
+    def depths(self, centre: Floats) -> Floats:
+        """Distances along the optical axis, at least ``near`` / 2."""
         ahead: Floats = np.maximum(centre @ self.rotation[2], 0.5 * self.near)
         return ahead
 
-    def finish(self, kind: str, outdoors: bool) -> Scene:
-        """The scene, under a light that suits it."""
+    def scene(self, kind: str, outdoors: bool) -> Scene:
+        """Assemble the scene, under a light that suits it."""
         rng = self.rng
         far = 300.0 if outdoors else self.log_uniform(1.0, 3.0) * self.near
         towards = rng.normal(size=3) * [1.0, 0.4, 0.7] + [0, -0.9, -0.6]

@@ -1,4 +1,4 @@
-"""Ray casting: which surface each ray of each view meets first, and how near.
+"""Ray casting: the first surface and the disparity of each ray of each view.
 
 Every surface is one of three shapes in its own local frame: a rectangle (z = 0, |x|, |y| <= 1), a
 rectangle with a mask, or a piece of a quadric (|z| <= 1). Over the image the disparity of a plane
@@ -17,18 +17,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet.scenes.scene import MASKED, QUADRIC, RECTANGLE, Scene
+from mobilestereonet.scenes.scene import MASKED, QUADRIC, RECTANGLE, Floats, Scene
 
-TILE = (16, 32)
+TILE = (16, 32)  # height and width, in pixels
 # The lamp is a third camera: what it does not see lies in shadow.
 LEFT, RIGHT, LAMP = VIEWS = range(3)
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Frames:
-    """The surfaces of all scenes of a batch as the views see them; n surfaces, 3 views.
+class ProjectedSurfaces:
+    """Surfaces of a batch of scenes as coefficients per view; n surfaces, 3 views.
 
     The last dimension of ``plane``, ``origin`` and ``direction`` holds the coefficients of
     (x, y, 1), a position in the image. Disparity stands for focal * baseline / depth in any view.
@@ -67,8 +65,8 @@ class Frames:
     normal: Tensor
 
 
-def join(scenes: Sequence[Scene], name: str) -> NDArray[np.float64]:
-    """One field of the surfaces of all scenes."""
+def concat_field(scenes: Sequence[Scene], name: str) -> NDArray[np.float64]:
+    """Concatenate one field of the surfaces of all scenes."""
     return np.concatenate([getattr(scene.surfaces, name) for scene in scenes])
 
 
@@ -102,8 +100,10 @@ def _views(scene: Scene, size: tuple[int, int]) -> tuple[Floats, Floats, Floats]
     return eyes, axes, np.array([camera, camera, lamp])
 
 
-def make_frames(scenes: Sequence[Scene], size: tuple[int, int], device: torch.device) -> Frames:
-    """Look at all surfaces from all views; float64 until the coefficients are known."""
+def project_surfaces(
+    scenes: Sequence[Scene], size: tuple[int, int], device: torch.device
+) -> ProjectedSurfaces:
+    """Coefficients of all surfaces in all views; float64 until they are known."""
     count = [len(scene.surfaces.shape) for scene in scenes]
     eyes, view_axes, intrinsics = (
         np.repeat(np.stack(part), count, axis=0)
@@ -111,7 +111,7 @@ def make_frames(scenes: Sequence[Scene], size: tuple[int, int], device: torch.de
     )
     focal, cx, cy = np.moveaxis(intrinsics, -1, 0)
     focal_baseline = np.repeat([scene.focal * scene.baseline for scene in scenes], count)
-    axes, centre = join(scenes, "axes"), join(scenes, "centre")
+    axes, centre = concat_field(scenes, "axes"), concat_field(scenes, "centre")
     inverse = np.linalg.inv(axes)
     to_view = np.zeros((*focal.shape, 3, 3))
     to_view[..., 0, 0] = to_view[..., 1, 1] = 1 / focal
@@ -136,24 +136,26 @@ def make_frames(scenes: Sequence[Scene], size: tuple[int, int], device: torch.de
     bounds[(points[..., 2] <= 1e-3).any(-1)] = -1e6  # layouts keep quadrics before the cameras
     arrays = {
         "scene": np.repeat(np.arange(len(scenes)), count),
-        "shape": join(scenes, "shape"),
+        "shape": concat_field(scenes, "shape"),
         "plane": np.stack([disparity, *across], axis=2),
         "origin": origin,
         "direction": direction,
         "eye": eye,
         "anchor": anchor,
         "focal_baseline": focal_baseline,
-        "quadric": join(scenes, "quadric"),
+        "quadric": concat_field(scenes, "quadric"),
         "bounds": bounds,
-        "mask": join(scenes, "mask"),
-        "mask_repeat": join(scenes, "mask_repeat"),
-        "one_sided": join(scenes, "one_sided"),
+        "mask": concat_field(scenes, "mask"),
+        "mask_repeat": concat_field(scenes, "mask_repeat"),
+        "one_sided": concat_field(scenes, "one_sided"),
         "normal": inverse.swapaxes(-1, -2),
     }
-    return Frames(**{name: to_device(values, device) for name, values in arrays.items()})
+    return ProjectedSurfaces(**{name: to_device(values, device) for name, values in arrays.items()})
 
 
-def _touched(frames: Frames, members: Tensor, shape: int, tiles: Tensor, views: int) -> Tensor:
+def _touched(
+    projected: ProjectedSurfaces, members: Tensor, shape: int, tiles: Tensor, views: int
+) -> Tensor:
     """Which tiles (t, 4: x0, y0, x1, y1) each member can touch: (views, tiles, members).
 
     A rectangle is where disparity plus or minus (local x or y times disparity), four affine maps,
@@ -161,11 +163,11 @@ def _touched(frames: Frames, members: Tensor, shape: int, tiles: Tensor, views: 
     """
     x0, y0, x1, y1 = tiles.T[:, None, :, None]
     if shape == QUADRIC:
-        left, top, right, bottom = frames.bounds[members, :views].permute(2, 1, 0)[:, :, None]
+        left, top, right, bottom = projected.bounds[members, :views].permute(2, 1, 0)[:, :, None]
         touched: Tensor = (left <= x1) & (right >= x0) & (top <= y1) & (bottom >= y0)
         return touched
-    disparity, u, v = frames.plane[members, :views].permute(2, 3, 1, 0)[:, :, :, None]
-    facing = (frames.eye[members, :views, 2] > 0) | ~frames.one_sided[members, None]
+    disparity, u, v = projected.plane[members, :views].permute(2, 3, 1, 0)[:, :, :, None]
+    facing = (projected.eye[members, :views, 2] > 0) | ~projected.one_sided[members, None]
     touched = facing.T[:, None]
     for edge in (disparity, disparity + u, disparity - u, disparity + v, disparity - v):
         along_x = torch.maximum(edge[0] * x0, edge[0] * x1)
@@ -175,8 +177,8 @@ def _touched(frames: Frames, members: Tensor, shape: int, tiles: Tensor, views: 
 
 
 @dataclass(frozen=True)
-class _Pairs:
-    """Tiles to cast against surfaces of one shape, in steps that visit a tile at most once."""
+class _TilePairs:
+    """Pairs of a tile and a surface of one shape, in steps that visit a tile at most once."""
 
     row: Tensor  # (pairs,) the tile's row in the depth buffer
     surface: Tensor  # (pairs,)
@@ -189,23 +191,25 @@ class _Pairs:
         return zip(*(column.split(self.steps) for column in columns), strict=True)
 
 
-def _pair(frames: Frames, shape: int, tiles: Tensor, scenes: int, views: int) -> _Pairs | None:
-    members = torch.nonzero(frames.shape == shape)[:, 0]
+def _pair_tiles(
+    projected: ProjectedSurfaces, shape: int, tiles: Tensor, scenes: int, views: int
+) -> _TilePairs | None:
+    members = torch.nonzero(projected.shape == shape)[:, 0]
     # One pixel of margin on each side covers the corner rays.
     margin = torch.tensor([-1.0, -1.0, 1.0, 1.0], device=tiles.device)
-    touched = _touched(frames, members, shape, tiles + margin, views)
+    touched = _touched(projected, members, shape, tiles + margin, views)
     view, tile, member = torch.nonzero(touched).T
     if not len(member):
         return None
     surface = members[member]
     # Sorted by view, tile and scene already: the rank within such a group is the step.
-    row = (view * len(tiles) + tile) * scenes + frames.scene[surface]
+    row = (view * len(tiles) + tile) * scenes + projected.scene[surface]
     _, count = torch.unique_consecutive(row, return_counts=True)
     first = torch.cumsum(count, 0) - count
     rank = torch.arange(len(row), device=row.device) - torch.repeat_interleave(first, count)
     order = torch.argsort(rank, stable=True)
     steps = torch.bincount(rank).tolist()
-    return _Pairs(row[order], surface[order], view[order], tiles[tile[order], :2], steps)
+    return _TilePairs(row[order], surface[order], view[order], tiles[tile[order], :2], steps)
 
 
 def _affine(rows: Tensor, x: Tensor, y: Tensor) -> Tensor:
@@ -216,40 +220,50 @@ def _affine(rows: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def _hit_rectangle(
-    frames: Frames, surface: Tensor, view: Tensor, x: Tensor, y: Tensor, masks: Tensor | None
+    projected: ProjectedSurfaces,
+    surface: Tensor,
+    view: Tensor,
+    x: Tensor,
+    y: Tensor,
+    masks: Tensor | None,
 ) -> Tensor:
     """Disparity where rays meet the rectangles, not positive elsewhere."""
-    plane = frames.plane[surface, view]
+    plane = projected.plane[surface, view]
     disparity = _affine(plane[:, 0], x, y)
     u, v = _affine(plane[:, 1], x, y), _affine(plane[:, 2], x, y)
     inside = torch.maximum(u.abs(), v.abs()) <= disparity
     if masks is not None:
         size = masks.shape[-1]
-        half = (0.5 * size * frames.mask_repeat[surface]).T[:, :, None, None]
+        half = (0.5 * size * projected.mask_repeat[surface]).T[:, :, None, None]
         scale = 1 / disparity
         # Outside the rectangle the cell is wrong but within the bank: the size is a power of two.
         column = ((u * scale + 1) * half[0]).int() & (size - 1)
         row = ((v * scale + 1) * half[1]).int() & (size - 1)
-        start = frames.mask[surface].int()[:, None, None] * (size * size)
+        start = projected.mask[surface].int()[:, None, None] * (size * size)
         cell = (start + row * size + column).flatten()
         inside &= masks.view(-1).index_select(0, cell).view_as(inside)
     return disparity * inside
 
 
 def _hit_quadric(
-    frames: Frames, surface: Tensor, view: Tensor, x: Tensor, y: Tensor, masks: Tensor | None
+    projected: ProjectedSurfaces,
+    surface: Tensor,
+    view: Tensor,
+    x: Tensor,
+    y: Tensor,
+    masks: Tensor | None,
 ) -> Tensor:
     """Disparity of the nearest point with |z| <= 1 on the quadric, not positive elsewhere."""
-    origin, direction = frames.origin[surface, view], frames.direction[surface, view]
+    origin, direction = projected.origin[surface, view], projected.direction[surface, view]
     ox, oy, oz = (_affine(origin[:, i], x, y) for i in range(3))
     dx, dy, dz = (_affine(direction[:, i], x, y) for i in range(3))
-    a, b, c = frames.quadric[surface].T[:, :, None, None]
+    a, b, c = projected.quadric[surface].T[:, :, None, None]
     second = dx * dx + dy * dy + a * (dz * dz)
     first = ox * dx + oy * dy + (a * oz + 0.5 * b) * dz
     constant = ox * ox + oy * oy + (a * oz + b) * oz + c
     root = (first * first - second * constant).sqrt()  # NaN, a miss, compares false
-    anchor = frames.anchor[surface, view][:, None, None]
-    focal_baseline = frames.focal_baseline[surface][:, None, None]
+    anchor = projected.anchor[surface, view][:, None, None]
+    focal_baseline = projected.focal_baseline[surface][:, None, None]
     nearest = torch.zeros_like(ox)
     for numerator in (-first - root, root - first):
         beyond = numerator / second
@@ -260,7 +274,7 @@ def _hit_quadric(
 
 
 def make_tiles(grid: tuple[int, int], device: torch.device) -> Tensor:
-    """x0, y0, x1, y1 of the tiles of a grid, (tiles, 4)."""
+    """Borders x0, y0, x1, y1 of the tiles of a grid, (tiles, 4)."""
     rows, columns = torch.meshgrid(
         torch.arange(grid[0]) * TILE[0], torch.arange(grid[1]) * TILE[1], indexing="ij"
     )
@@ -268,23 +282,23 @@ def make_tiles(grid: tuple[int, int], device: torch.device) -> Tensor:
     return torch.cat([first, first + torch.tensor([TILE[1], TILE[0]])], -1).to(device)
 
 
-def cast(
-    frames: Frames,
+def cast_rays(
+    projected: ProjectedSurfaces,
     scenes: int,
     size: tuple[int, int],
     offset: float,
     masks: Tensor,
     views: int,
 ) -> tuple[Tensor, Tensor]:
-    """Cast one ray per pixel.
+    """Cast one ray per pixel and find the nearest surface.
 
     Args:
-        frames: Surfaces of B scenes.
+        projected: Surfaces of B scenes.
         scenes: B.
         size: Height and width of the images.
         offset: Added to the pixels' positions, in x and y.
         masks: Masks (M, S, S), bool.
-        views: How many of the views to cast.
+        views: Number of views to cast: the cameras, then the lamp.
 
     Returns:
         Disparity (B, views, H, W), 0 where nothing is met, and the surface's index, int32.
@@ -301,10 +315,10 @@ def cast(
     hits = ((RECTANGLE, _hit_rectangle), (MASKED, _hit_rectangle), (QUADRIC, _hit_quadric))
     for shape, hit in hits:
         used = masks if shape == MASKED else None
-        for row, surface, view, corner in _pair(frames, shape, tiles, scenes, views) or ():
+        for row, surface, view, corner in _pair_tiles(projected, shape, tiles, scenes, views) or ():
             x = corner[:, 0, None, None] + columns
             y = corner[:, 1, None, None] + lines
-            found = hit(frames, surface, view, x, y, used)
+            found = hit(projected, surface, view, x, y, used)
             before = disparity.index_select(0, row)
             nearer = found > before
             disparity.index_copy_(0, row, torch.where(nearer, found, before))

@@ -1,4 +1,4 @@
-"""Masks: holes, fences, leaves and outlines that turn a rectangle into something else."""
+"""Masks that cut holes, bars, leaves and outlines out of a rectangle."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from mobilestereonet.data.images import Mask
 from mobilestereonet.scenes.noise import noise_field, unit_grid
-
-Mask = NDArray[np.bool_]
 
 
 def _bars(rng: np.random.Generator, size: int) -> Mask:
@@ -77,7 +75,7 @@ def _polygon(rng: np.random.Generator, size: int) -> Mask:
     return canvas > 0
 
 
-MASKS: tuple[Callable[[np.random.Generator, int], Mask], ...] = (
+MASK_KINDS: tuple[Callable[[np.random.Generator, int], Mask], ...] = (
     _bars,
     _mesh,
     _foliage,
@@ -86,9 +84,9 @@ MASKS: tuple[Callable[[np.random.Generator, int], Mask], ...] = (
     _holes,
     _polygon,
 )
-BARS, MESH, FOLIAGE = (MASKS.index(kind) for kind in (_bars, _mesh, _foliage))
+BARS, MESH, FOLIAGE = (MASK_KINDS.index(kind) for kind in (_bars, _mesh, _foliage))
 
 
 def make_masks(rng: np.random.Generator, count: int, size: int = 256) -> Mask:
-    """``count`` masks (N, S, S), kind after kind; True is solid."""
-    return np.stack([MASKS[i % len(MASKS)](rng, size) for i in range(count)])
+    """Make ``count`` masks (N, S, S), kind after kind; True is solid."""
+    return np.stack([MASK_KINDS[i % len(MASK_KINDS)](rng, size) for i in range(count)])

@@ -1,4 +1,4 @@
-"""Noise textures: what surfaces look like without photographs."""
+"""Noise textures: procedural patterns of 16 kinds."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _wood(rng: np.random.Generator, size: int) -> Image:
 
 
 def _canvas(image: Image) -> NDArray[np.uint8]:
-    """What OpenCV draws on with smooth edges."""
+    """Image as uint8, on which OpenCV draws with smooth edges."""
     return np.ascontiguousarray((np.clip(image, 0, 1) * 255).round().astype(np.uint8))
 
 
@@ -230,7 +230,7 @@ def _gradient(rng: np.random.Generator, size: int) -> Image:
     return _ramp(noise_field(rng, size, 2.6), _colours(rng, 2))
 
 
-NOISE: tuple[Callable[[np.random.Generator, int], Image], ...] = (
+NOISE_KINDS: tuple[Callable[[np.random.Generator, int], Image], ...] = (
     _fractal,
     _stripes,
     _checker,
@@ -249,11 +249,11 @@ NOISE: tuple[Callable[[np.random.Generator, int], Image], ...] = (
     _gradient,
 )
 ASPHALT, GRASS, SKY, WINDOWS, WOOD = (
-    NOISE.index(kind) for kind in (_asphalt, _grass, _sky, _windows, _wood)
+    NOISE_KINDS.index(kind) for kind in (_asphalt, _grass, _sky, _windows, _wood)
 )
 
 
 def make_noise(rng: np.random.Generator, count: int, size: int) -> NDArray[np.uint8]:
-    """``count`` textures (N, S, S, 3), kind after kind."""
-    images = [NOISE[i % len(NOISE)](rng, size) for i in range(count)]
+    """Make ``count`` noise textures (N, S, S, 3), kind after kind."""
+    images = [NOISE_KINDS[i % len(NOISE_KINDS)](rng, size) for i in range(count)]
     return np.stack([(np.clip(image, 0, 1) * 255).round().astype(np.uint8) for image in images])

@@ -1,4 +1,4 @@
-"""Both views of a batch of scenes: anti-aliased colour, exact disparity and occlusion."""
+"""Rendering of stereo scenes: anti-aliased colour, exact disparity and occlusion."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ from mobilestereonet.scenes.casting import (
     LEFT,
     RIGHT,
     VIEWS,
-    Frames,
-    cast,
-    make_frames,
+    ProjectedSurfaces,
+    cast_rays,
+    project_surfaces,
 )
 from mobilestereonet.scenes.scene import QUADRIC, Scene
 from mobilestereonet.scenes.shading import make_materials, shade_images
 from mobilestereonet.scenes.textures import TextureBank
 
 # A right pixel that shows another surface hides the left one only if it is this much nearer (px).
-OCCLUSION_MARGIN = 0.25
+OCCLUSION_MARGIN_PX = 0.25
 
 
-def _occluded(frames: Frames, disparity: Tensor, index: Tensor) -> Tensor:
-    """Which left pixels the right camera does not see: (B, H, W)."""
+def _occluded(projected: ProjectedSurfaces, disparity: Tensor, index: Tensor) -> Tensor:
+    """Mask of the left pixels that the right camera does not see, (B, H, W)."""
     height, width = disparity.shape[-2:]
     x = torch.arange(width, device=disparity.device)
     left, surface = disparity[:, LEFT], index[:, LEFT].long()
     matched = x - left
     nearest = matched.round().long().clamp(0, width - 1)
     other = index[:, RIGHT].gather(-1, nearest)
-    nearer = disparity[:, RIGHT].gather(-1, nearest) > left + OCCLUSION_MARGIN
+    nearer = disparity[:, RIGHT].gather(-1, nearest) > left + OCCLUSION_MARGIN_PX
     hidden = (other != index[:, LEFT]) & nearer
     # A curved surface hides the points that it turns away from the right camera.
     at, which = (
-        torch.nonzero((frames.shape == QUADRIC).index_select(0, surface.flatten()))[:, 0],
+        torch.nonzero((projected.shape == QUADRIC).index_select(0, surface.flatten()))[:, 0],
         surface,
     )
     which = surface.flatten()[at]
-    depth = frames.focal_baseline[which] / left.flatten()[at] - frames.anchor[which, LEFT]
+    depth = projected.focal_baseline[which] / left.flatten()[at] - projected.anchor[which, LEFT]
     position = torch.stack([at % width, at // width % height, torch.ones_like(at)], -1)[:, None]
-    local = (frames.origin[which, LEFT] * position).sum(-1)
-    local = local + depth[:, None] * (frames.direction[which, LEFT] * position).sum(-1)
-    alpha, beta, _ = frames.quadric[which].T
+    local = (projected.origin[which, LEFT] * position).sum(-1)
+    local = local + depth[:, None] * (projected.direction[which, LEFT] * position).sum(-1)
+    alpha, beta, _ = projected.quadric[which].T
     gradient = torch.stack([local[:, 0], local[:, 1], alpha * local[:, 2] + 0.5 * beta], -1)
-    side = ((frames.eye[which, :LAMP] - local[:, None]) * gradient[:, None]).sum(-1)
+    side = ((projected.eye[which, :LAMP] - local[:, None]) * gradient[:, None]).sum(-1)
     hidden.view(-1)[at] |= side[:, LEFT] * side[:, RIGHT] < 0
     return hidden | (matched < -0.5)
 
@@ -58,7 +58,7 @@ def render_scenes(
     """Render both views of every scene on the device of ``bank``.
 
     Args:
-        scenes: What to render; B of them.
+        scenes: B scenes.
         size: Height and width of the images, in pixels.
         rays: Rays per pixel: 1 (the centre) or 2 (the centre and shared corners).
         bank: Textures.
@@ -68,17 +68,17 @@ def render_scenes(
         Images (B, 2, 3, H, W) in 0..1, the left view's disparity (B, H, W) in pixels, and whether
         the left pixel is hidden from the right camera (B, H, W).
     """
-    frames = make_frames(scenes, size, masks.device)
-    materials = make_materials(scenes, frames, size, bank)
-    disparity, index = cast(frames, len(scenes), size, 0.0, masks, len(VIEWS))
+    projected = project_surfaces(scenes, size, masks.device)
+    materials = make_materials(scenes, projected, size, bank)
+    disparity, index = cast_rays(projected, len(scenes), size, 0.0, masks, len(VIEWS))
     lamp = disparity[:, LAMP], index[:, LAMP]
     disparity, index = disparity[:, :LAMP], index[:, :LAMP]
-    colour = shade_images(frames, materials, bank, (disparity, index), lamp, 0.0, -0.5)
+    colour = shade_images(projected, materials, bank, (disparity, index), lamp, 0.0, -0.5)
     if rays > 1:
         # A pixel is the mean of its centre and of its four corners, which neighbours share: five
         # samples for two rays. Ground truth is the centre's.
-        found = cast(frames, len(scenes), size, -0.5, masks, LAMP)
-        corners = shade_images(frames, materials, bank, found, lamp, -0.5, 0.0)
+        found = cast_rays(projected, len(scenes), size, -0.5, masks, LAMP)
+        corners = shade_images(projected, materials, bank, found, lamp, -0.5, 0.0)
         corners = F.pad(corners.flatten(0, 2), (0, 1, 0, 1), mode="replicate")
         across = corners[..., 1:] + corners[..., :-1]
         colour = 0.5 * colour + 0.125 * (across[:, 1:] + across[:, :-1]).view_as(colour)
@@ -89,4 +89,4 @@ def render_scenes(
     colour = colour.clamp_min(0) * exposure.view(-1, 1, 1, 1, 1)
     squared = colour * colour
     colour = colour / (1 + squared * squared).sqrt().sqrt()  # a film's shoulder, below 1
-    return colour, disparity[:, LEFT].contiguous(), _occluded(frames, disparity, index)
+    return colour, disparity[:, LEFT].contiguous(), _occluded(projected, disparity, index)

@@ -1,4 +1,4 @@
-"""A scene as data: cameras, a lamp and surfaces in the left camera's frame, in metres."""
+"""Description of a scene: cameras, a lamp and surfaces in the left camera's frame, in metres."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOWL = (0.0, 0.5, -0.5)
 
 @dataclass(frozen=True)
 class Surfaces:
-    """The surfaces of one scene in the left camera's frame; n of them.
+    """Surfaces of one scene in the left camera's frame; n of them.
 
     Attributes:
         shape: RECTANGLE, MASKED or QUADRIC, (n,).
@@ -57,7 +57,7 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene: cameras, light and surfaces.
+    """Scene to render: cameras, light and surfaces.
 
     Attributes:
         focal: Focal length in pixels.
@@ -72,7 +72,7 @@ class Scene:
         reach: Distance in metres at which the lamp is half as bright.
         shininess: Exponent of the highlights.
         brightness: Geometric mean of the images, as an automatic exposure would set it.
-        surfaces: What there is to see.
+        surfaces: Its surfaces.
         kind: Name of the layout.
     """
 

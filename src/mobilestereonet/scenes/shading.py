@@ -1,4 +1,4 @@
-"""Colour of the surfaces that the rays meet: texture, light, shadow and highlight."""
+"""Shading of rays: texture, light, shadow and highlight."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.scenes.casting import (
-    Frames,
-    join,
+    ProjectedSurfaces,
+    concat_field,
     lamp_axes,
     lamp_focal,
     to_device,
@@ -20,12 +20,12 @@ from mobilestereonet.scenes.scene import QUADRIC, Scene
 from mobilestereonet.scenes.textures import TextureBank
 
 # Rays shaded at once on the CPU: the working set stays in the cache.
-CPU_BLOCK = 1 << 16
+CPU_BLOCK_RAYS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Materials:
-    """What the surfaces of all scenes look like; n surfaces.
+    """Appearance of the surfaces of a batch of scenes; n surfaces.
 
     Columns lie in the first dimension, as picking from one column at a time is fastest.
 
@@ -71,42 +71,44 @@ def _light_row(scene: Scene, size: tuple[int, int]) -> list[float]:
 
 
 def make_materials(
-    scenes: Sequence[Scene], frames: Frames, size: tuple[int, int], bank: TextureBank
+    scenes: Sequence[Scene], projected: ProjectedSurfaces, size: tuple[int, int], bank: TextureBank
 ) -> Materials:
     """Gather the materials of all scenes on the device of ``bank``."""
     device = bank.pixels.device
     baseline = np.repeat(
         [scene.baseline for scene in scenes], [len(scene.surfaces.shape) for scene in scenes]
     )
-    texture = to_device(join(scenes, "texture"), device)
-    colour = to_device(join(scenes, "colour"), device).T
-    contrast = to_device(join(scenes, "contrast"), device)
-    texels = to_device(join(scenes, "texels"), device)
+    texture = to_device(concat_field(scenes, "texture"), device)
+    colour = to_device(concat_field(scenes, "colour"), device).T
+    contrast = to_device(concat_field(scenes, "contrast"), device)
+    texels = to_device(concat_field(scenes, "texels"), device)
     across = texels[:, None, :, :2, None]
-    start = (across * frames.eye[:, :2, None, :2, None]).sum((3, 4)) + texels[:, None, :, 2]
-    step = (across * frames.direction[:, :1, None, :2]).sum(3)[:, 0]
-    normal = frames.normal[:, :, 2]
-    curve = torch.cat([frames.origin[:, :2].flatten(2), frames.direction[:, :2].flatten(2)], 2)
+    start = (across * projected.eye[:, :2, None, :2, None]).sum((3, 4)) + texels[:, None, :, 2]
+    step = (across * projected.direction[:, :1, None, :2]).sum(3)[:, 0]
+    normal = projected.normal[:, :, 2]
+    curve = torch.cat(
+        [projected.origin[:, :2].flatten(2), projected.direction[:, :2].flatten(2)], 2
+    )
     return Materials(
-        curved=frames.shape == QUADRIC,
+        curved=projected.shape == QUADRIC,
         start=start.permute(2, 0, 1).reshape(2, -1).contiguous(),
         step=step.reshape(-1, 6).T.contiguous(),
         curve=curve.flatten(0, 1).T.contiguous(),
-        turn=frames.normal.flatten(1).T.contiguous(),
+        turn=projected.normal.flatten(1).T.contiguous(),
         texels=texels.flatten(1).T.contiguous(),
         normal=torch.nn.functional.normalize(normal, dim=-1).T.contiguous(),
-        footprint=to_device(join(scenes, "density") * baseline, device),
+        footprint=to_device(concat_field(scenes, "density") * baseline, device),
         texture=texture,
         base=(colour * bank.means[texture].T * (1 - contrast)).contiguous(),
         gain=(colour * contrast / 255).contiguous(),
-        gloss=to_device(join(scenes, "gloss"), device),
+        gloss=to_device(concat_field(scenes, "gloss"), device),
         light=to_device(np.array([_light_row(scene, size) for scene in scenes]), device),
     )
 
 
 @dataclass(frozen=True)
 class Rays:
-    """A block of rays: h rows of both views of b scenes."""
+    """Block of rays: h rows of both views of b scenes."""
 
     x: Tensor  # (W,)
     y: Tensor  # (h, 1)
@@ -120,8 +122,12 @@ def _dot(a: Sequence[Tensor], b: Sequence[Tensor]) -> Tensor:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _curve(
-    frames: Frames, materials: Materials, rays: Rays, depth: Tensor, flat: Sequence[Tensor]
+def _shade_quadrics(
+    projected: ProjectedSurfaces,
+    materials: Materials,
+    rays: Rays,
+    depth: Tensor,
+    flat: Sequence[Tensor],
 ) -> None:
     """Overwrite texel coordinates and normals, flattened, where the surface is a quadric."""
     surface = rays.surface.flatten()
@@ -134,7 +140,7 @@ def _curve(
     view = where // (height * width) % 2
     x = rays.x[where % width]
     y = rays.y[where // width % height, 0]
-    beyond = depth.flatten()[where] - frames.anchor[which, view]
+    beyond = depth.flatten()[where] - projected.anchor[which, view]
 
     def pick(columns: Tensor, at: Tensor) -> list[Tensor]:
         return [column.index_select(0, at) for column in columns]
@@ -142,7 +148,7 @@ def _curve(
     rows = pick(materials.curve, 2 * which + view)
     place = [rows[i] * x + rows[i + 1] * y + rows[i + 2] for i in range(0, 18, 3)]
     lx, ly, lz = (place[i] + beyond * place[i + 3] for i in range(3))
-    alpha, beta, _ = pick(frames.quadric.T.contiguous(), which)
+    alpha, beta, _ = pick(projected.quadric.T.contiguous(), which)
     gradient = (lx, ly, alpha * lz + 0.5 * beta)
     rows = pick(materials.turn, which)
     normal = [_dot(rows[i : i + 3], gradient) for i in range(0, 9, 3)]
@@ -155,8 +161,8 @@ def _curve(
         target[where] = value
 
 
-def _lit(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own: Tensor) -> Tensor:
-    """Share of the lamp's light that reaches the rays' points, 0..1.
+def _lamp_visibility(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own: Tensor) -> Tensor:
+    """Shadow map look-up: share of the lamp's light that reaches the rays' points, 0..1.
 
     A point lies in shadow if the lamp sees another surface there that is clearly nearer to it.
     """
@@ -192,9 +198,13 @@ def _lit(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own: Tensor) ->
 
 
 def shade(
-    frames: Frames, materials: Materials, bank: TextureBank, rays: Rays, coarser: float
+    projected: ProjectedSurfaces,
+    materials: Materials,
+    bank: TextureBank,
+    rays: Rays,
+    coarser: float,
 ) -> Tensor:
-    """Colour of a block of rays: (3, b, 2, h, W)."""
+    """Shade a block of rays: colour (3, b, 2, h, W)."""
     surface = rays.surface.flatten()
     shape = rays.surface.shape
     light = rays.light.T[:, :, None, None, None]
@@ -218,7 +228,9 @@ def shade(
         for i in range(2)
     ]
     normal = [pick(column) for column in materials.normal]
-    _curve(frames, materials, rays, depth, [values.view(-1) for values in (*texel, *normal)])
+    _shade_quadrics(
+        projected, materials, rays, depth, [values.view(-1) for values in (*texel, *normal)]
+    )
     # The point seen, from the left camera, from the camera that sees it, and from the lamp.
     shift = view * baseline
     from_eye = (depth * ((rays.x - cx) / focal), depth * ((rays.y - cy) / focal), depth)
@@ -230,7 +242,7 @@ def shade(
     cosine = facing.abs().clamp_min(0.05)
     sign = -facing.sign()  # towards the camera
     lambert = (-_dot(normal, from_lamp) * to_lamp * sign).clamp_min(0)
-    lit = _lit(rays, light, from_lamp, rays.surface) * (reach / (reach + squared))
+    lit = _lamp_visibility(rays, light, from_lamp, rays.surface) * (reach / (reach + squared))
     shading = ambient * (1 - 0.25 * normal[1] * sign) + diffuse * lit * lambert
     half = [a * to_eye + b * to_lamp for a, b in zip(from_eye, from_lamp, strict=True)]
     glance = (-_dot(normal, half) * sign * _dot(half, half).rsqrt()).clamp_min(1e-6)
@@ -252,7 +264,7 @@ def shade(
 
 
 def shade_images(
-    frames: Frames,
+    projected: ProjectedSurfaces,
     materials: Materials,
     bank: TextureBank,
     found: tuple[Tensor, Tensor],
@@ -260,11 +272,11 @@ def shade_images(
     offset: float,
     coarser: float,
 ) -> Tensor:
-    """Colour of one ray per pixel.
+    """Shade one ray per pixel.
 
     Args:
-        frames: Surfaces.
-        materials: Their looks.
+        projected: Surfaces.
+        materials: Their appearance.
         bank: Textures.
         found: Disparity and surface of the rays, (B, 2, H, W).
         lamp: Disparity and surface in the lamp's view, (B, H, W).
@@ -284,7 +296,7 @@ def shade_images(
         if disparity.device.type != "cpu":
             yield slice(None), slice(None)
             return
-        step = max(1, CPU_BLOCK // (2 * width))
+        step = max(1, CPU_BLOCK_RAYS // (2 * width))
         for scene in range(scenes):
             for top in range(0, height, step):
                 yield slice(scene, scene + 1), slice(top, top + step)
@@ -299,5 +311,5 @@ def shade_images(
             light=materials.light[part],
             lamp=(lamp[0][part], lamp[1][part]),
         )
-        image[:, part, :, rows] = shade(frames, materials, bank, rays, coarser)
+        image[:, part, :, rows] = shade(projected, materials, bank, rays, coarser)
     return image

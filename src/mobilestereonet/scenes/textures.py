@@ -1,4 +1,4 @@
-"""The bank of textures: noise and photographs with mip levels."""
+"""Texture bank: noise and photographs with mip levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
 
 
 class TextureBank:
@@ -21,12 +21,12 @@ class TextureBank:
     Attributes:
         pixels: All levels of all textures, one int32 of four bytes (R, G, B, 0) per texel.
         means: Mean colour of each texture, (N, 3) in 0..1.
-        noise: How many textures are noise; they come first, kind ``i % len(NOISE)``.
-        photographs: How many textures are photographs.
+        noise: Number of noise textures; they come first, kind ``i % len(NOISE_KINDS)``.
+        photographs: Number of photographs.
     """
 
     def __init__(self, images: NDArray[np.uint8], noise: int, device: torch.device) -> None:
-        """Build the levels of ``images`` (N, S, S, 3); S is a power of two."""
+        """Compute the mip levels of ``images`` (N, S, S, 3); S is a power of two."""
         count, size = images.shape[:2]
         self.size = size
         sizes = [(size >> level) ** 2 for level in range(size.bit_length())]
@@ -83,14 +83,14 @@ def find_photographs(folder: Path) -> list[Path]:
         raise FileNotFoundError(
             f"textures: no folder {folder}; give a folder of images, with --textures DIR"
         )
-    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES]
+    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES]
     if not paths:
         raise _no_image(folder)
     return paths
 
 
 def _no_image(folder: Path) -> InputError:
-    listed = ", ".join(sorted(SUFFIXES))
+    listed = ", ".join(sorted(IMAGE_SUFFIXES))
     return InputError(f"textures: no readable image below {folder}; it needs files {listed}")
 
 
