@@ -20,7 +20,7 @@ from mobilestereonet.evaluation import (
     evaluate,
     save_evaluations,
 )
-from mobilestereonet.nets import create_model
+from mobilestereonet.nets import build_model
 from mobilestereonet.weights import save_weights
 
 SCALE = 100.0
@@ -211,7 +211,7 @@ def test_command(kitti, tmp_path, capsys):
 def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monkeypatch):
     weights, report = tmp_path / "some.safetensors", tmp_path / "report.json"
     torch.manual_seed(0)
-    save_weights(create_model("msnet2d", max_disparity=32), weights)
+    save_weights(build_model("msnet2d", max_disparity=32), weights)
     seen = []
     monkeypatch.setattr(
         "mobilestereonet.engines.torch.TorchRuntime.__call__",

@@ -4,6 +4,7 @@ import json
 
 import pytest
 import torch
+from mobilestereonet.nets.normalise import normalise
 from torch import nn
 
 from mobilestereonet import InputError, create_model, save_weights
@@ -11,7 +12,6 @@ from mobilestereonet.data.motorcycle import motorcycle_views
 from mobilestereonet.export import FORMATS, calibration_pairs, export_model
 from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
-from mobilestereonet.nets.normalise import normalise
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 SIZE = (32, 64)
