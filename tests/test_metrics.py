@@ -258,13 +258,13 @@ def test_bad_input():
         StereoMetrics().update(torch.zeros(1, 1, 2), replace(batch, disparity=None))
 
 
-@pytest.mark.parametrize("devices", [*itertools.product(("cpu", "lazy"), repeat=3)])
-def test_prediction_truth_and_sums_may_lie_on_different_devices(devices):
+@pytest.mark.parametrize("truth_on", ["cpu", "lazy"])
+@pytest.mark.parametrize("predictions_on", [("cpu", "lazy"), ("lazy", "cpu")])
+def test_predictions_and_truth_may_lie_on_different_devices(predictions_on, truth_on):
     """Fake tensors of another device ("lazy" stands for a GPU) need no such device."""
-    prediction_on, truth_on, sums_on = map(torch.device, devices)
     maps = {"occluded": [[True, False]], "foreground": [[True, False]]}
     with FakeTensorMode(allow_non_fake_inputs=True):
-        metrics = StereoMetrics().to(sums_on)
+        metrics = StereoMetrics()
         batch = collate([_sample([[10, 10]], **maps)]).to(truth_on)
-        metrics.update(torch.zeros(1, 1, 2, device=prediction_on), batch)
-        assert metrics.image_sums.device == metrics.pixels.device == sums_on
+        for device in predictions_on:
+            metrics.update(torch.zeros(1, 1, 2, device=device), batch)

@@ -1,4 +1,4 @@
-"""EPE, px-n and D1 as sums: batch size, order and number of ranks do not matter."""
+"""EPE, px-n and D1 over masks, kept as sums: batches, order and ranks do not matter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MASKS = ("all", "noc", "occ", "fg", "bg")
 
 @dataclass
 class MaskScores:
-    """Figures over one mask.
+    """Error figures over the pixels of one mask.
 
     Attributes:
         per_image: Mean over the images of each image's own mean (the paper's figure): ``epe`` in
@@ -43,7 +43,7 @@ class MaskScores:
 
 @dataclass
 class StereoScores:
-    """What `StereoMetrics` computes; prints itself as a table.
+    """Result of `StereoMetrics`: the figures of each mask; prints as a table.
 
     Attributes:
         max_disparity: Pixels count whose ground truth lies in ``0 < d < max_disparity``, in px.
@@ -58,7 +58,7 @@ class StereoScores:
     masks: dict[str, MaskScores]
 
     def figures(self, prefix: str = "") -> dict[str, float]:
-        """Per-image means for a logger: ``epe``, ``d1``, ... and ``noc/epe``, ... by name.
+        """Per-image means by name, for a logger: ``epe``, ``d1``, ... and ``noc/epe``, ...
 
         Args:
             prefix: Put before each name, such as ``val/``.
@@ -74,14 +74,14 @@ class StereoScores:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """The record as plain dicts, ready for JSON (an endless range becomes None)."""
+        """Plain dicts, ready for JSON (an infinite range becomes None)."""
         record = asdict(self)
         if math.isinf(self.max_disparity):
             record["max_disparity"] = None
         return record
 
     def protocol(self) -> str:
-        """One sentence on what was scored, and how it was averaged."""
+        """Caption: which pixels were scored, and how they were averaged."""
         text = (
             f"Pixels with ground truth 0 < d < {self.max_disparity:g}. Per image: mean over the "
             "images of each image's mean (the paper's). Per pixel: mean over all pixels. "
@@ -95,7 +95,7 @@ class StereoScores:
         return text
 
     def table(self, title: str | None = None) -> Table:
-        """The figures as a table of `rich`, one row per mask and figure."""
+        """Table of `rich` with one row per mask and figure."""
         table = Table(title=title, caption=self.protocol(), caption_justify="left")
         table.add_column("mask")
         table.add_column("figure")
@@ -123,7 +123,7 @@ class StereoScores:
 
 
 class StereoMetrics(Metric):
-    """EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
+    """Metric of `torchmetrics`: EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
 
     EPE is the mean absolute disparity error in px; px-n the share of the pixels whose error is
     above n px; D1 the share whose error is above 3 px and above 5 % of the ground truth; shares
@@ -152,7 +152,7 @@ class StereoMetrics(Metric):
         min_share: float = 0.0,
         **kwargs: Any,
     ) -> None:
-        """Start from zero.
+        """Initialise with all sums at zero.
 
         Args:
             max_disparity: Ground truth in ``0 < d < max_disparity`` is scored, in px; ``inf``
@@ -184,7 +184,7 @@ class StereoMetrics(Metric):
             self.add_state(state, zeros, dist_reduce_fx="sum")
 
     def update(self, prediction: Tensor, batch: StereoSample) -> None:
-        """Add a batch.
+        """Add a batch of predictions.
 
         Args:
             prediction: Disparity in px, (B, H, W). A value that is not finite is an outlier.
@@ -222,7 +222,7 @@ class StereoMetrics(Metric):
                 state[index] += value.to(state.device)
 
     def compute(self) -> StereoScores:
-        """The figures of all that was added, over all ranks."""
+        """Figures of everything added, over all ranks."""
         masks = {}
         for index, name in enumerate(MASKS):
             counts = [int(s[index]) for s in (self.images, self.empty, self.skipped, self.pixels)]

@@ -1,4 +1,4 @@
-"""Pictures: disparity colours, KITTI's error map, panels side by side, training curves.
+"""Visualisation: disparity colours, KITTI's error map, panels, training curves.
 
 Every picture is an RGB array of shape (H, W, 3), uint8.
 """
@@ -22,7 +22,7 @@ from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 
-Map = Tensor | NDArray[Any]
+MapLike = Tensor | NDArray[Any]
 _Curve = tuple[list[float], list[float]]
 
 # The development kit of KITTI 2015 gives each doubling of the error the next of ten colours, from
@@ -43,12 +43,12 @@ _ERROR_COLOURS = np.array(
     ],
     dtype=np.uint8,
 )
-_GAP = 4
-_TITLE_HEIGHT = 24
+_PANEL_GAP_PX = 4
+_TITLE_HEIGHT_PX = 24
 
 
 def colour_disparity(
-    disparity: Map, maximum: float | None = None, valid: Map | None = None
+    disparity: MapLike, maximum: float | None = None, valid: MapLike | None = None
 ) -> Picture:
     """Colour a disparity map: blue is far, red is near, black is unknown.
 
@@ -75,7 +75,10 @@ def colour_disparity(
 
 
 def error_map(
-    prediction: Map, truth: Map, valid: Map | None = None, occluded: Map | None = None
+    prediction: MapLike,
+    truth: MapLike,
+    valid: MapLike | None = None,
+    occluded: MapLike | None = None,
 ) -> Picture:
     """Colour the error as KITTI does: cold colours are inliers, warm ones outliers of D1.
 
@@ -100,8 +103,8 @@ def error_map(
     return np.where(known[..., None], colours, 0).astype(np.uint8)
 
 
-def thicken(picture: Picture, known: Map) -> Picture:
-    """Spread each known pixel over its unknown neighbours, so that single ones can be seen.
+def thicken(picture: Picture, known: MapLike) -> Picture:
+    """Spread each known pixel over its unknown neighbours, so that sparse maps can be seen.
 
     Args:
         picture: (H, W, 3).
@@ -121,7 +124,7 @@ def thicken(picture: Picture, known: Map) -> Picture:
 
 
 def side_by_side(panels: Sequence[Picture], titles: Sequence[str] | None = None) -> Picture:
-    """Put pictures into one row on white.
+    """Put pictures into one row on a white background.
 
     Args:
         panels: Pictures; lower ones are aligned at the top.
@@ -130,11 +133,11 @@ def side_by_side(panels: Sequence[Picture], titles: Sequence[str] | None = None)
     Returns:
         (H, W, 3) uint8.
     """
-    top = 0 if titles is None else _TITLE_HEIGHT
+    top = 0 if titles is None else _TITLE_HEIGHT_PX
     height = max(panel.shape[0] for panel in panels)
     columns = []
     for index, panel in enumerate(panels):
-        right = 0 if index == len(panels) - 1 else _GAP
+        right = 0 if index == len(panels) - 1 else _PANEL_GAP_PX
         border = (top, height - panel.shape[0], 0, right)
         column = cv2.copyMakeBorder(panel, *border, cv2.BORDER_CONSTANT, value=(255, 255, 255))
         if titles is not None:
@@ -145,7 +148,7 @@ def side_by_side(panels: Sequence[Picture], titles: Sequence[str] | None = None)
 
 
 def contact_sheet(samples: Iterable[StereoSample], width: int = 320) -> Picture:
-    """One row per sample: left, right, disparity, occlusion (grey where the map is not known).
+    """Draw one row per sample: left, right, disparity, occlusion (grey if unknown).
 
     Args:
         samples: Single samples, not batches.
@@ -258,5 +261,5 @@ def _curves(log: Path) -> dict[str, _Curve]:
     return curves
 
 
-def _array(values: Map) -> NDArray[Any]:
+def _array(values: MapLike) -> NDArray[Any]:
     return values.detach().cpu().numpy() if isinstance(values, Tensor) else values

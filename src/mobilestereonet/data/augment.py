@@ -1,4 +1,4 @@
-"""Augmentation of stereo pairs: joint for both views, different per view, exact for disparity."""
+"""Augmentation of stereo pairs: joint for both views and per view; disparity stays exact."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mobilestereonet.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class AugmentConfig:
-    """What varies between training pairs. The defaults change nothing but the crop.
+    """Settings of the augmentation of training pairs. The defaults only crop.
 
     A range (lo, hi) is drawn from uniformly; a probability is per pair or, where it says so, per
     view. Geometry first, then colour (joint, then per view), then what the sensor does.
@@ -79,7 +79,7 @@ class AugmentConfig:
 
 
 def geometry_only(config: AugmentConfig) -> AugmentConfig:
-    """The part of a config that moves pixels, without what changes their values.
+    """The geometric part of a config: crop, scale and misalignment, without colours and noise.
 
     Generators in the same state give the same crops, scales and misalignments under both.
     """
@@ -99,7 +99,7 @@ def augment(
 
     Args:
         sample: Batch with images (B, 3, H, W) in 0..1.
-        config: What to change.
+        config: Settings.
         generators: One random generator per pair: a pair's augmentation does not depend on the
             batch that it is in.
 
@@ -111,7 +111,7 @@ def augment(
             cropped to one size.
     """
     pairs = [
-        _frame(sample.map(itemgetter(index)), config, generator)
+        _scale_and_crop(sample.map(itemgetter(index)), config, generator)
         for index, generator in enumerate(generators)
     ]
     sample = replace(collate(pairs), name=sample.name)
@@ -127,7 +127,7 @@ def augment(
     return replace(sample, left=views[:, 0], right=right)
 
 
-def _frame(
+def _scale_and_crop(
     pair: StereoSample, config: AugmentConfig, generator: np.random.Generator
 ) -> StereoSample:
     """Resize and crop one pair, not batched."""

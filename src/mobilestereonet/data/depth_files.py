@@ -1,4 +1,4 @@
-"""Depth maps as files."""
+"""Depth map files: 16-bit PNG, NumPy and TIFF."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mobilestereonet.errors import InputError
 
 DEPTH_FORMATS = (".png", ".npy", ".tif", ".tiff")
 
-_LARGEST_IN_PNG = 65.535
+_MAX_PNG_DEPTH_M = 65.535
 
 
 def check_depth_file(path: str | Path) -> Path:
-    """The path, if depth can be written in the format that its ending names.
+    """Check that depth can be written in the format that a path's ending names.
 
     Raises:
         InputError: If it can't.
@@ -43,7 +43,7 @@ def write_depth(path: str | Path, depth: Array) -> None:
     path = check_depth_file(path)
     suffix = path.suffix.lower()
     if suffix == ".png":
-        storable = np.where(depth <= _LARGEST_IN_PNG, depth, 0)
+        storable = np.where(depth <= _MAX_PNG_DEPTH_M, depth, 0)
         # A known depth that rounds to 0 would read as unknown.
         levels = np.where(storable > 0, np.rint(storable * 1000).clip(1), 0)
         write_png(path, levels.astype(np.uint16))

@@ -1,4 +1,4 @@
-"""Ground truth files: each reader gives the disparity and the mask of where it is known.
+"""Disparity files: each reader returns the disparity and the mask of where it is known.
 
 How a format marks pixels without ground truth (0, infinity, NaN) ends here: every reader returns
 float32 disparities in pixels, 0 where unknown, and a mask that is True where known, both (H, W).
@@ -170,7 +170,7 @@ def read_disparity_vkitti2(path: str | Path, calibration: Calibration) -> tuple[
 
 
 def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
-    """Read a disparity file of any format that needs no further knowledge: by its ending.
+    """Read a PFM, NumPy or grey image file of disparities, told apart by the ending.
 
     Args:
         path: A ``.pfm``, a ``.npy`` (float, unknown where not finite or not above 0), or a grey
@@ -204,5 +204,5 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
 
 
 def read_levels(path: str | Path) -> Array:
-    """First channel of a mask or label image, shape (H, W), with the file's own dtype."""
+    """Read the first channel of a mask or label image, (H, W), with the file's own dtype."""
     return np.asarray(read_image(path)[..., 0])

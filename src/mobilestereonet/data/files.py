@@ -23,7 +23,7 @@ _PFM_HEADER = re.compile(
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Content of a file.
+    """Read the content of a file.
 
     Raises:
         FileNotFoundError: If there is no such file; the message names it.
@@ -35,7 +35,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def decode_image(path: str | Path) -> Array:
-    """Image as OpenCV decodes it: (H, W) or (H, W, C) with BGR order, the file's own dtype.
+    """Read an image as OpenCV decodes it: (H, W) or (H, W, C), BGR, the file's own dtype.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -123,7 +123,7 @@ def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:
 
 
 def write_png(path: str | Path, image: Array) -> None:
-    """Write a PNG.
+    """Write a PNG file atomically.
 
     Args:
         path: The file to write.
@@ -143,7 +143,7 @@ def write_png(path: str | Path, image: Array) -> None:
 
 
 def write_pfm(path: str | Path, values: Array) -> None:
-    """Write a PFM file, little endian.
+    """Write a PFM file, little endian, atomically.
 
     Args:
         path: The file to write.
@@ -161,7 +161,7 @@ def write_pfm(path: str | Path, values: Array) -> None:
 
 
 def write_npy(path: str | Path, values: Array) -> None:
-    """Write an array in NumPy's own format.
+    """Write an array in NumPy's own format, atomically.
 
     Args:
         path: The file to write.

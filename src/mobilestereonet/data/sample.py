@@ -15,7 +15,7 @@ from mobilestereonet.errors import InputError
 
 @dataclass(frozen=True)
 class Calibration:
-    """Geometry of a rectified pair.
+    """Calibration of a rectified pair.
 
     Depth is ``focal * baseline / (disparity + doffs)``.
 
@@ -60,7 +60,7 @@ class Calibration:
         return self.focal, self.focal if self.focal_y is None else self.focal_y
 
     def require_size(self, width: int, height: int) -> None:
-        """Check that the calibration is one of views of this size.
+        """Check that the calibration belongs to views of this size.
 
         Raises:
             InputError: If it is known to be of another: depth would be wrong by the ratio.
@@ -81,7 +81,7 @@ class Calibration:
         raise InputError(message)
 
     def principal_point(self, width: int, height: int) -> tuple[float, float]:
-        """Column and row of the left view's principal point: its middle, where not known."""
+        """Column and row of the left view's principal point; the view's middle if unknown."""
         return (
             (width - 1) / 2 if self.cx is None else self.cx,
             (height - 1) / 2 if self.cy is None else self.cy,
@@ -90,7 +90,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class StereoSample:
-    """A rectified pair, with its ground truth where there is one.
+    """Rectified pair, or a batch of pairs, with ground truth where there is one.
 
     One sample has images of shape (3, H, W) and maps of shape (H, W); a batch has one more
     dimension in front. Left pixel (x, y) matches right pixel (x - disparity, y).
@@ -103,7 +103,7 @@ class StereoSample:
         occluded: True where the left pixel is not visible in the right view.
         foreground: True on the objects that KITTI 2015 calls foreground.
         calibration: Geometry of the pair; None in a batch.
-        name: What to call the sample in reports and file names.
+        name: Name of the sample in reports and file names.
     """
 
     left: Tensor
@@ -120,7 +120,7 @@ class StereoSample:
         return self.map(lambda tensor: tensor.to(device, non_blocking=True))
 
     def pin_memory(self) -> StereoSample:
-        """Copy of the sample in memory from which a GPU copies beside its work."""
+        """Copy of the sample in page-locked memory, for asynchronous copies to a GPU."""
         return self.map(Tensor.pin_memory)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> StereoSample:

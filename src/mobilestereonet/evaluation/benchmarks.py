@@ -17,7 +17,7 @@ from mobilestereonet.errors import InputError
 
 @dataclass(frozen=True)
 class Submission:
-    """The files of one archive.
+    """File names of one submission archive.
 
     Attributes:
         maps: Scene to the name of its disparity map in the archive: a ``.png`` with KITTI's 16
@@ -34,7 +34,7 @@ class Submission:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A public benchmark: where its pairs are, and which files its server takes.
+    """Public benchmark: where its pairs are, and which files its server takes.
 
     File names are templates of ``{split}``, ``{size}``, ``{scene}`` and ``{method}``.
 
@@ -61,13 +61,13 @@ class Benchmark:
     takes_training_alone: bool = False
 
     def splits(self, training_only: bool) -> list[str]:
-        """Splits of the data set that are matched."""
+        """Splits of the data set to match."""
         return ["training"] if training_only else [*self.scenes]
 
     def file_names(
         self, template: str, method: str, size: str, training_only: bool
     ) -> Iterator[tuple[str, str]]:
-        """Each scene, and its file's name."""
+        """Pairs of a scene and its file's name."""
         for split in self.splits(training_only):
             for scene in self.scenes[split]:
                 yield (
@@ -133,7 +133,7 @@ BENCHMARKS: dict[str, Benchmark] = {
 def plan_submission(
     benchmark: str, method: str, size: str = "Q", training_only: bool = False
 ) -> Submission:
-    """Names of the files that a benchmark's server takes.
+    """Plan a submission: the file names that a benchmark's server takes.
 
     Args:
         benchmark: One of `BENCHMARKS`.
@@ -158,7 +158,7 @@ def plan_submission(
 def open_benchmark(
     benchmark: str, root: Path, size: str = "Q", training_only: bool = False
 ) -> list[StereoDataSet]:
-    """The pairs that a benchmark wants matched, complete.
+    """Open the data sets that a benchmark scores, checked to be complete.
 
     Args:
         benchmark: One of `BENCHMARKS`.
@@ -179,7 +179,7 @@ def open_benchmark(
 
 
 def _find(benchmark: str, size: str, training_only: bool) -> Benchmark:
-    """The entry of a benchmark, if it takes these options."""
+    """Entry of a benchmark, checked to take these options."""
     if benchmark not in BENCHMARKS:
         raise InputError(f"unknown benchmark {benchmark!r}, choose one of {', '.join(BENCHMARKS)}")
     entry = BENCHMARKS[benchmark]

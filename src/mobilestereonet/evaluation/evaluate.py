@@ -1,4 +1,4 @@
-"""Score a matcher on a data set."""
+"""Evaluation of a matcher on a data set."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mobilestereonet.plots import colour_disparity, error_map, side_by_side, thi
 
 @dataclass(frozen=True)
 class EvaluationProtocol:
-    """What of each frame is matched, and which pixels are scored.
+    """Evaluation protocol: crop and padding of the views, and which pixels are scored.
 
     Attributes:
         max_disparity: Pixels with ground truth in ``0 < d < max_disparity`` count, in px.
@@ -44,7 +44,7 @@ class EvaluationProtocol:
 
 
 def authors_protocol(data: str) -> EvaluationProtocol:
-    """How the authors' release scores a data set.
+    """Protocol of the paper authors' release for a data set.
 
     Args:
         data: Name of the data set, such as ``sceneflow`` or ``kitti2015``.
@@ -63,13 +63,13 @@ def authors_protocol(data: str) -> EvaluationProtocol:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Scores of one model on one data set; a console of `rich` prints it as a table.
+    """Scores of one model on one data set; a console of `rich` prints them as a table.
 
     Attributes:
-        model: What was scored.
-        data: What it was scored on.
-        protocol: How.
-        scores: The figures.
+        model: Name of the model.
+        data: Name of the data set.
+        protocol: Evaluation protocol.
+        scores: Error figures.
         seconds_per_image: Median time of a call divided by its number of images.
     """
 
@@ -80,7 +80,7 @@ class Evaluation:
     seconds_per_image: float
 
     def to_dict(self) -> dict[str, Any]:
-        """The record as plain dicts, ready for JSON."""
+        """Plain dicts, ready for JSON."""
         scores = self.scores.to_dict()
         protocol = {**asdict(self.protocol), "max_disparity": scores["max_disparity"]}
         return {
@@ -98,7 +98,7 @@ class Evaluation:
 
 
 def save_evaluations(evaluations: Sequence[Evaluation], path: Path) -> None:
-    """Write records as a JSON list."""
+    """Write evaluations as a JSON list."""
     records = [evaluation.to_dict() for evaluation in evaluations]
     text = json.dumps(records, indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda temporary: temporary.write_text(text))
@@ -118,12 +118,12 @@ def evaluate(
     """Match every pair and score it against its ground truth.
 
     Args:
-        match: What is scored.
+        match: Matcher to score.
         data: Single samples with ground truth. Their sizes may differ: consecutive samples of one
             size share a batch.
         model: Name of ``match`` in the report.
         data_name: Name of ``data`` in the report.
-        protocol: What is matched and scored; by default whole frames and ``0 < d < 192``.
+        protocol: Evaluation protocol; by default whole frames and ``0 < d < 192``.
         thresholds: The n of px-n, in px.
         batch_size: Pairs per call at most. It does not change the figures.
         pictures: Folder for one picture per pair: left view, disparity, KITTI's error map.
@@ -153,7 +153,7 @@ def evaluate(
 
 
 def _batches(data: Iterable[StereoSample], size: int) -> Iterator[list[StereoSample]]:
-    """Consecutive samples that stack, ``size`` of them at most."""
+    """Group consecutive samples of equal shapes, ``size`` at most."""
     batch: list[StereoSample] = []
     for sample in data:
         if batch and (len(batch) >= size or _shapes(sample) != _shapes(batch[0])):
@@ -165,7 +165,7 @@ def _batches(data: Iterable[StereoSample], size: int) -> Iterator[list[StereoSam
 
 
 def _shapes(sample: StereoSample) -> dict[str, torch.Size]:
-    """Shape of each map that is there: a batch leaves out a map that one of its samples lacks."""
+    """Shape of each map that a sample has: a batch leaves out a map that one of them lacks."""
     return {name: tensor.shape for name, tensor in _tensors(sample).items()}
 
 
@@ -175,7 +175,7 @@ def _tensors(sample: StereoSample) -> dict[str, Tensor]:
 
 
 def _crop(sample: StereoSample, size: tuple[int, int] | None) -> StereoSample:
-    """The bottom right part of a sample; its calibration would not fit any more."""
+    """Crop the bottom right part of a sample, without its calibration, which no longer fits."""
     if size is None:
         return sample
     height, width = size

@@ -1,4 +1,4 @@
-"""What is scored: any function from two views to disparity, called, timed and checked."""
+"""Matchers under evaluation: their type, and a timed and checked call."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def timed_match(match: DisparityFn, batch: StereoSample) -> tuple[Tensor, float]
     """Match a batch, measure the time and check the result.
 
     Args:
-        match: What is called.
+        match: Matcher to call.
         batch: Pairs, (B, 3, H, W).
 
     Returns:

@@ -1,4 +1,4 @@
-"""Does a confidence tell where a disparity is wrong? The sparsification curve and its area."""
+"""Sparsification curve of a confidence map and its area (AUSE)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
 
-_STEPS = 100
+_CURVE_POINTS = 100
 
 
 @dataclass(frozen=True)
 class Sparsification:
-    """Mean error of what is left when the least confident pixels are removed.
+    """Sparsification curve: mean error when the least confident pixels are removed.
 
     Attributes:
         removed: Share of the pixels that is removed, (N,), 0 to 0.99.
@@ -40,7 +40,7 @@ class Sparsification:
 
 
 def sparsification(error: NDArray[np.float32], confidence: NDArray[np.float32]) -> Sparsification:
-    """Sort pixels by confidence and remove the least confident ones first.
+    """Compute the sparsification curve of a confidence map.
 
     Args:
         error: Absolute disparity errors of the pixels with ground truth, any shape, in px.
@@ -57,7 +57,7 @@ def sparsification(error: NDArray[np.float32], confidence: NDArray[np.float32]) 
             f"errors and confidences need one shape with a pixel in it, got {error.shape} and "
             f"{confidence.shape}"
         )
-    removed = np.arange(_STEPS) / _STEPS
+    removed = np.arange(_CURVE_POINTS) / _CURVE_POINTS
     error, confidence = error.ravel().astype(np.float64), confidence.ravel()
     kept = np.ceil((1 - removed) * error.size).astype(int)
     curves = []
@@ -68,7 +68,7 @@ def sparsification(error: NDArray[np.float32], confidence: NDArray[np.float32]) 
 
 
 def plot_sparsification(curves: Sequence[tuple[str, Sparsification]], picture: Path) -> None:
-    """Draw curves, each over its error without removal, and the oracles dotted.
+    """Draw sparsification curves, each over its error without removal; oracles dotted.
 
     Args:
         curves: Names and curves.

@@ -1,4 +1,4 @@
-"""Archives for the benchmarks' servers: writing one, checking one."""
+"""Submission archives for the benchmarks' servers: writing and checking."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def write_submission(
     """Match every scene of a benchmark and write the archive for its server, checked.
 
     Args:
-        plan: What the server takes.
-        match: The method. It is called once more in the beginning, so that no scene's time holds
-            what only the first call does.
+        plan: File names that the server takes.
+        match: Matcher to submit. It is called once more in the beginning, so that no scene's time
+            includes what only the first call does.
         data: The benchmark's pairs; the last part of a sample's name is its scene.
         archive: ZIP file to write. It is not there before it has passed `check_submission`.
 
@@ -76,7 +76,7 @@ def check_submission(plan: Submission, archive: Path, sizes: Mapping[str, tuple[
     """Check an archive as the server would: names, counts, types and sizes.
 
     Args:
-        plan: What the server takes.
+        plan: File names that the server takes.
         archive: ZIP file.
         sizes: Scene to height and width of its left view.
 

@@ -1,4 +1,4 @@
-"""What all scanners share: find the frames of an official folder layout, check, read."""
+"""Base class of the data set scanners: find the frames of a folder layout, check, read."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from mobilestereonet.errors import InputError
 
 @dataclass(frozen=True)
 class Frame:
-    """Where the files of one sample lie.
+    """File paths of one sample.
 
     Attributes:
-        name: What to call the sample in reports and file names; may hold slashes.
+        name: Name of the sample in reports and file names; may hold slashes.
         left: Left view.
         right: Right view.
         disparity: Ground truth of the left view; None in a set without ground truth.
@@ -37,7 +37,7 @@ class Frame:
 
 
 class StereoDataSet(Dataset[StereoSample], ABC):
-    """Stereo pairs in the folders in which a public data set ships.
+    """Data set of stereo pairs, read from the folder layout in which it is published.
 
     A subclass says which files are left views (`patterns`), what belongs to each (`frame`), and
     how its ground truth is read (`read_disparity` and, where the set has more, the other
@@ -83,30 +83,30 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         self._check_count(strict)
 
     def __str__(self) -> str:
-        """Class and split, as messages quote them."""
+        """Class and split, for messages."""
         return f"{type(self).__name__} ({self.split})"
 
     @abstractmethod
     def patterns(self) -> Sequence[str]:
-        """Globs below the root; a file that matches any of them is a left view."""
+        """Globs of the left views, below the root."""
 
     @abstractmethod
     def frame(self, left: Path) -> Frame:
-        """The files that belong to a left view."""
+        """Paths of the files that belong to a left view."""
 
     def left_views(self) -> list[Path]:
-        """Left views of the split, sorted."""
+        """Paths of the left views of the split, sorted."""
         return sorted({path for pattern in self.patterns() for path in self.root.glob(pattern)})
 
     def official_count(self) -> int | None:
-        """Number of frames that the complete set has; None if there is no such number."""
+        """Number of frames of the complete set; None if there is no official one."""
         return self.splits[self.split]
 
     def require_truth(self, otherwise: str = "") -> None:
-        """Refuse pairs without ground truth, before any work is done with them.
+        """Check that the pairs have ground truth, before any work is done with them.
 
         Args:
-            otherwise: Another way out, for the message.
+            otherwise: Another way out, added to the message.
 
         Raises:
             InputError: If they have none; the message names the way out.
@@ -116,24 +116,24 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             raise InputError(f"{self} has no ground truth: {ways_out}")
 
     def truth_advice(self) -> str:
-        """How to get ground truth where this set has none, for a message."""
+        """Advice for the message of `require_truth`."""
         others = [split for split in self.splits if split not in self.withheld]
         return f"choose another split: {', '.join(others)}"
 
     @abstractmethod
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Disparity (H, W) in pixels, 0 where unknown, and mask (H, W), True where known."""
+        """Read disparity (H, W) in pixels, 0 where unknown, and mask (H, W), True where known."""
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Mask (H, W), True where the right view does not see the pixel; None if unknown."""
+        """Read the mask (H, W) of pixels that the right view does not see; None if unknown."""
         return None
 
     def read_foreground(self, truth: Path) -> Mask | None:
-        """Mask (H, W), True on foreground objects; None if the set has no such labels."""
+        """Read the mask (H, W) of foreground objects; None if the set has no such labels."""
         return None
 
     def read_calibration(self, left: Path) -> Calibration | None:
-        """Geometry of the pair; None if the set does not tell."""
+        """Read the pair's calibration; None if the set has none."""
         return None
 
     def __len__(self) -> int:
@@ -188,7 +188,7 @@ def occlusion_from_right_view(
     right_valid: Mask,
     tolerance: float = 1.0,
 ) -> Mask:
-    """Find what the right view does not see, from the ground truth of both views.
+    """Mask of the left pixels that the right view does not see, from the truth of both views.
 
     A left pixel is occluded if its match lies outside the right view, or if the surface that the
     right view shows there is nearer by more than ``tolerance``. Where the right ground truth is
@@ -221,7 +221,7 @@ def _check_files(frame: Frame) -> None:
 
 
 def _content(root: Path) -> str:
-    """What a folder holds, in a few words."""
+    """Content of a folder in a few words, for messages."""
     if not root.is_dir():
         return "there is no such folder"
     names = sorted(path.name for path in root.iterdir() if path.name[0] != ".")

@@ -64,14 +64,14 @@ class DrivingStereo(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """The left views of the split and size, in folders per sequence or without."""
+        """Globs of the left views of the split and size, in folders per sequence or without."""
         if self.split == "train":
             return ["train-left-image/**/*.jpg"]
         parent = "test-left-image" if self.split == "test" else self.split
         return [f"{parent}/left-image-{self.size}-size/**/*.jpg"]
 
     def frame(self, left: Path) -> Frame:
-        """Files of the same name where the folders say right-image and disparity-map."""
+        """Paths of the files of the same name in the right-image and disparity-map folders."""
         relative = left.relative_to(self.root).as_posix()
         truth = self.root / relative.replace("left-image", "disparity-map")
         return Frame(
@@ -82,5 +82,5 @@ class DrivingStereo(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """The laser's sparse disparity."""
+        """Read the laser's sparse disparity."""
         return read_disparity_png(truth, self._scales[self.size])

@@ -20,7 +20,7 @@ from mobilestereonet.errors import InputError
 
 
 class _Kitti(StereoDataSet):
-    """What both KITTI sets share: folders beside one another, one file per frame in each."""
+    """Base of KITTI 2012 and 2015: folders beside one another, one file per frame in each."""
 
     withheld = frozenset({"testing"})
     left_folder: str
@@ -31,12 +31,12 @@ class _Kitti(StereoDataSet):
     cameras: tuple[int, int] = (2, 3)
 
     def patterns(self) -> Sequence[str]:
-        """The first of each frame's two time steps, the one with ground truth."""
+        """Globs of the left views: each frame's first time step, the one with ground truth."""
         folder = "testing" if self.split == "testing" else "training"
         return [f"{folder}/{self.left_folder}/{'[0-9]' * 6}_10.png"]
 
     def frame(self, left: Path) -> Frame:
-        """Files of the same name in the folders beside the left view's."""
+        """Paths of the files of the same name in the folders beside the left view's."""
         folders = left.parents[1]
         return Frame(
             name=left.stem,
@@ -46,16 +46,16 @@ class _Kitti(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """The laser's sparse disparity, of occluded pixels too (``disp_occ``)."""
+        """Read the laser's sparse disparity, occluded pixels included (``disp_occ``)."""
         return read_disparity_png(truth)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Pixels with ground truth in ``disp_occ`` but not in ``disp_noc``."""
+        """Read the mask of pixels with ground truth in ``disp_occ`` but not in ``disp_noc``."""
         visible = truth.parents[1] / self.visible_truth_folder / truth.name
         return valid & ~read_disparity_png(visible)[1] if visible.is_file() else None
 
     def read_calibration(self, left: Path) -> Calibration | None:
-        """Geometry from the frame's file, if the calibration archive was unpacked too."""
+        """Read the frame's calibration, if that archive was unpacked too."""
         path = left.parents[1] / self.calibration_folder / f"{left.stem[:6]}.txt"
         return read_calibration(path, self.cameras) if path.is_file() else None
 
@@ -145,7 +145,7 @@ class KITTI2015(_Kitti):
     # fmt: on
 
     def left_views(self) -> list[Path]:
-        """Left views of the archive's folder, or of the paper's part of it."""
+        """Paths of the left views of the archive, or of the paper's part of it."""
         views = super().left_views()
         if self.split not in ("train", "val"):
             return views
@@ -153,7 +153,7 @@ class KITTI2015(_Kitti):
         return [view for view in views if (int(view.name[:6]) in self.validation) == wanted]
 
     def read_foreground(self, truth: Path) -> Mask | None:
-        """Pixels that the object map gives to any object."""
+        """Read the mask of pixels that the object map gives to any object."""
         path = truth.parents[1] / "obj_map" / truth.name
         return read_levels(path) > 0 if path.is_file() else None
 
@@ -201,15 +201,15 @@ class VirtualKITTI2(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def official_count(self) -> int | None:
-        """Number of frames; every variation has the same."""
+        """Number of frames of the complete set or of one variation."""
         return self.splits["all"] if self.variation is None else 2126
 
     def patterns(self) -> Sequence[str]:
-        """The left camera's images."""
+        """Globs of the left camera's images."""
         return [f"Scene[0-9][0-9]/{self.variation or '*'}/frames/rgb/Camera_0/rgb_*.jpg"]
 
     def frame(self, left: Path) -> Frame:
-        """The right camera's image, and the left camera's depth."""
+        """Paths of the right camera's image and of the left camera's depth."""
         scene, variation = left.relative_to(self.root).parts[:2]
         number = left.stem.removeprefix("rgb_")
         return Frame(
@@ -220,16 +220,16 @@ class VirtualKITTI2(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Dense disparity, unknown in the sky."""
+        """Read dense disparity, unknown in the sky."""
         return read_disparity_vkitti2(truth, self.calibration)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Occlusion, if the right camera's depth is there too."""
+        """Compute occlusion, if the right camera's depth is there too."""
         right = truth.parents[1] / "Camera_1" / truth.name
         if not right.is_file():
             return None
         return occlusion_from_right_view(disparity, valid, *self.read_disparity(right))
 
     def read_calibration(self, left: Path) -> Calibration:
-        """The same for all frames."""
+        """Calibration of all frames."""
         return self.calibration

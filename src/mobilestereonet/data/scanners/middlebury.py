@@ -16,13 +16,13 @@ from mobilestereonet.errors import InputError
 
 
 class _CalibratedScenes(StereoDataSet):
-    """What 2014, 2021, MiddEval3 and ETH3D share: a folder per scene, PFM and calib.txt."""
+    """Base of Middlebury 2014, 2021, MiddEval3 and ETH3D: folder per scene, PFM, calib.txt."""
 
     right_name: str = "im1.png"
     truth_name: ClassVar[str] = "disp0.pfm"
 
     def frame(self, left: Path) -> Frame:
-        """The other files in the scene's folder."""
+        """Paths of the other files in the scene's folder."""
         return Frame(
             name=left.parent.name,
             left=left,
@@ -31,11 +31,11 @@ class _CalibratedScenes(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Disparity, unknown where infinite."""
+        """Read disparity, unknown where infinite."""
         return read_disparity_pfm(truth)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Occlusion from the set's own mask or, without one, from the right ground truth."""
+        """Read occlusion from the set's mask or, without one, from the right ground truth."""
         mask, right = truth.with_name("mask0nocc.png"), truth.with_name("disp1.pfm")
         if mask.is_file():  # 255: seen by both, 128: by the left view only, 0: unknown
             occluded: Mask = read_levels(mask) == 128
@@ -45,7 +45,7 @@ class _CalibratedScenes(StereoDataSet):
         return None
 
     def read_calibration(self, left: Path) -> Calibration | None:
-        """Geometry from the scene's calib.txt, if it is there."""
+        """Read the scene's calib.txt, if it is there."""
         path = left.with_name("calib.txt")
         return read_calibration(path) if path.is_file() else None
 
@@ -93,7 +93,7 @@ class Middlebury2014(_CalibratedScenes):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene and rectification."""
+        """Globs of the left views, one folder per scene and rectification."""
         return [f"*-{self.rectification}/im0.png"]
 
 
@@ -117,7 +117,7 @@ class Middlebury2021(_CalibratedScenes):
     splits: ClassVar = {"training": 24}
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene."""
+        """Globs of the left views, one folder per scene."""
         return ["*/im0.png", "data/*/im0.png"]
 
 
@@ -163,7 +163,7 @@ class MiddEval3(_CalibratedScenes):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene, below one per split and size."""
+        """Globs of the left views, one folder per scene, below one per split and size."""
         inner = f"{self.split}{self.size}/*/im0.png"
         return [inner, f"MiddEval3/{inner}"]
 
@@ -198,11 +198,11 @@ class ETH3D(_CalibratedScenes):
     truth_name = "disp0GT.pfm"
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene."""
+        """Globs of the left views, one folder per scene."""
         return [f"two_view_{self.split}/*/im0.png"]
 
     def frame(self, left: Path) -> Frame:
-        """The right view beside the left, the ground truth in the scene's folder elsewhere."""
+        """Paths of the right view, beside the left one, and of the ground truth's folder."""
         name = left.parent.name
         return Frame(
             name=name,

@@ -15,7 +15,7 @@ from mobilestereonet.errors import InputError
 
 
 class _GreyLevelScenes(StereoDataSet):
-    """What 2003, 2005 and 2006 share: 8-bit maps whose scale depends on the archive's size.
+    """Base of Middlebury 2003, 2005 and 2006: 8-bit maps, scaled by the archive's size.
 
     The levels are disparities at full size in every archive, so the scale is how many times
     smaller the images are.
@@ -40,11 +40,11 @@ class _GreyLevelScenes(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene."""
+        """Globs of the left views, one folder per scene."""
         return [f"*/{self.left_name}"]
 
     def frame(self, left: Path) -> Frame:
-        """The other files in the scene's folder."""
+        """Paths of the other files in the scene's folder."""
         return Frame(
             name=left.parent.name,
             left=left,
@@ -53,7 +53,7 @@ class _GreyLevelScenes(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Disparity from the grey levels, 0 = unknown."""
+        """Read disparity from grey levels, 0 = unknown."""
         scale = self.scale
         if scale is None:
             height = decode_image(truth).shape[0]
@@ -67,7 +67,7 @@ class _GreyLevelScenes(StereoDataSet):
         return read_disparity_png(truth, scale, bits=8)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Occlusion, if the right view's ground truth is there too."""
+        """Compute occlusion, if the right view's ground truth is there too."""
         right = truth.with_name(self.right_truth)
         if not right.is_file():
             return None
@@ -132,7 +132,7 @@ class Middlebury2005(_GreyLevelScenes):
     without_truth: ClassVar = ("Computer", "Drumsticks", "Dwarves")
 
     def left_views(self) -> list[Path]:
-        """Left views of the scenes with, or without, public ground truth."""
+        """Paths of the left views with, or without, public ground truth."""
         wanted = self.split == "test"
         views = super().left_views()
         return [view for view in views if (view.parent.name in self.without_truth) == wanted]

@@ -1,4 +1,4 @@
-"""Any folder of pairs."""
+"""Folders of pairs in any layout, found by patterns."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
 
 @register_data_set("folder")
 class PairFolder(StereoDataSet):
-    """Pairs in any folder, found by patterns.
+    """Data set of pairs in any folder, found by patterns.
 
     What the wildcards of ``left`` stand for in a file is filled in for the wildcards of
     ``right`` and ``disparity``, in the same order::
@@ -69,18 +69,18 @@ class PairFolder(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """The pattern that was given."""
+        """Glob of the left views."""
         return [self.left]
 
     def left_views(self) -> list[Path]:
-        """Files that the pattern finds, sorted."""
+        """Paths that the pattern finds, sorted."""
         try:
             return super().left_views()
         except (NotImplementedError, ValueError) as error:
             raise InputError(f"PairFolder: cannot look for {self.left!r}: {error}") from error
 
     def frame(self, left: Path) -> Frame:
-        """The other patterns, filled in."""
+        """Paths from the other patterns, filled in."""
         relative = left.relative_to(self.root)
         parts = _wildcard_values(self.left, relative.as_posix())
         return Frame(
@@ -91,7 +91,7 @@ class PairFolder(StereoDataSet):
         )
 
     def truth_advice(self) -> str:
-        """The option that names it."""
+        """Advice to give the option ``disparity``."""
         return (
             "tell where it is by the option disparity, such as "
             '--set "disparity=disparity/*.pfm"; in training, by data_options.disparity and '
@@ -99,11 +99,11 @@ class PairFolder(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Disparity in the format that the ending tells."""
+        """Read disparity in the format that the ending tells."""
         return read_disparity(truth, self.scale)
 
     def read_calibration(self, left: Path) -> Calibration | None:
-        """The one of all pairs."""
+        """Calibration of all pairs."""
         return self.calibration
 
 

@@ -80,12 +80,12 @@ class SceneFlow(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def official_count(self) -> int | None:
-        """Number of frames of the subsets that were asked for."""
+        """Number of frames of the chosen subsets."""
         counts = self._counts[self.split]
         return sum(counts.values()) if self.subset is None else counts[self.subset]
 
     def patterns(self) -> Sequence[str]:
-        """One glob per subset and place."""
+        """Globs of the left views, one per subset and place."""
         # The depth of the folders tells the subsets apart where all lie in the root.
         scenes = {
             "FlyingThings3D": f"{self.split.upper()}/[ABC]/*",
@@ -100,7 +100,7 @@ class SceneFlow(StereoDataSet):
         ]
 
     def frame(self, left: Path) -> Frame:
-        """The right view, and the PFM of the same name."""
+        """Paths of the right view and of the PFM of the same name."""
         parts = left.relative_to(self.root).parts
         start = parts.index(self.views)
         truth = self.root.joinpath(*parts[:start], "disparity", *parts[start + 1 :])
@@ -112,18 +112,18 @@ class SceneFlow(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Disparity at every pixel, positive whatever the release's sign."""
+        """Read dense disparity, positive whatever the release's sign."""
         return read_disparity_pfm(truth)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Occlusion, if the right view's ground truth is there too."""
+        """Compute occlusion, if the right view's ground truth is there too."""
         right = _other_view(truth)
         if not right.is_file():
             return None
         return occlusion_from_right_view(disparity, valid, *read_disparity_pfm(right))
 
     def read_calibration(self, left: Path) -> Calibration:
-        """Focal length of the virtual camera: 450 px for Driving's 15 mm, else 1050 px."""
+        """Calibration of the virtual camera: focal length 450 px for Driving's 15 mm, else 1050."""
         focal = 450.0 if "15mm_focallength" in left.parts else 1050.0
         return Calibration(focal=focal, baseline=1.0, cx=479.5, cy=269.5)
 

@@ -51,11 +51,11 @@ class Sintel(StereoDataSet):
         super().__init__(root, split, strict=strict)
 
     def patterns(self) -> Sequence[str]:
-        """One folder per scene."""
+        """Globs of the left views, one folder per scene."""
         return [f"training/{self.render}_left/*/frame_*.png"]
 
     def frame(self, left: Path) -> Frame:
-        """Files of the same scene and name in the folders beside the left views'."""
+        """Paths of the same scene and name in the folders beside the left views'."""
         folders, scene = left.parents[2], left.parent.name
         return Frame(
             name=f"{scene}/{left.stem}",
@@ -65,11 +65,11 @@ class Sintel(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Dense disparity, of occluded pixels too."""
+        """Read dense disparity, occluded pixels included."""
         return read_disparity_sintel(truth)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Pixels hidden in or outside the right view; None unless both masks are there."""
+        """Read the mask of pixels hidden in or outside the right view; None without both files."""
         paths = [
             truth.parents[2] / folder / truth.parent.name / truth.name
             for folder in ("occlusions", "outofframe")
