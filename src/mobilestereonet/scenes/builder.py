@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mobilestereonet.scenes.masks import MASK_KINDS
-from mobilestereonet.scenes.noise import NOISE_KINDS
+from mobilestereonet.scenes.materials import Material, MaterialStock, log_uniform
 from mobilestereonet.scenes.scene import (
     MASKED,
     QUADRIC,
@@ -24,28 +24,6 @@ from mobilestereonet.scenes.scene import (
     Scene,
     Surfaces,
 )
-
-MATERIALS_PER_DRAW = 256
-
-
-@dataclass
-class Material:
-    """Materials of n surfaces; most fields are those of ``Surfaces``.
-
-    Attributes:
-        angle: Turn of the texture on the surface, in radians, (n,).
-    """
-
-    texture: Ints
-    density: Floats
-    angle: Floats
-    colour: Floats
-    contrast: Floats
-    gloss: Floats
-
-    def __getitem__(self, which: Any) -> Material:
-        """Copy of the material of some of the surfaces."""
-        return Material(*(getattr(self, field.name)[which].copy() for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -104,7 +82,7 @@ class SceneBuilder:
         self.height, self.width = size
         self.near, self.nearest = near, nearest
         self.objects, self.textureless = objects, textureless
-        self.noise, self.photographs, self.masks = noise, photographs, masks
+        self.masks = masks
         # A long focal length with a principal point off the centre is a crop of a wide image.
         zoom = self.log_uniform(0.55, 1.8)
         self.focal = zoom * self.width
@@ -120,54 +98,15 @@ class SceneBuilder:
         self.rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt
         self.lamp: Floats | None = None  # in the world frame; drawn if a layout sets none
         self.parts: list[_Part] = []
-        self._draw_stock()
+        self._materials = MaterialStock(rng, self.focal, noise, photographs)
 
     def log_uniform(self, low: float, high: float, size: Any = None) -> Any:
-        """Numbers whose logarithm is uniform; the bounds may come in either order."""
-        return low * (high / low) ** self.rng.random(size)
-
-    def _draw_stock(self, count: int = MATERIALS_PER_DRAW) -> None:
-        """Draw many materials at once, which is much cheaper than a few at a time."""
-        rng = self.rng
-        strength = rng.random(count)
-        contrast = rng.uniform(0.7, 1.15, count)
-        contrast = np.where(strength < 0.3, rng.uniform(0.25, 0.7, count), contrast)
-        contrast = np.where(strength < 0.2, self.log_uniform(0.01, 0.25, count), contrast)
-        tint = rng.choice([0.0, 0.06, 0.2], (count, 1)) * rng.uniform(-1, 1, (count, 3))
-        askew = rng.random(count) < 0.3
-        angle = np.where(askew, rng.uniform(0, 6.28, count), rng.normal(0, 0.03, count))
-        shiny = rng.random(count) < 0.2
-        self.stock = Material(
-            texture=rng.integers(0, self.noise, count),
-            density=self.focal * self.log_uniform(0.5, 2.5, count),
-            angle=angle,
-            colour=self.log_uniform(0.55, 1.6, (count, 1)) * (1 + tint),
-            contrast=contrast,
-            gloss=np.where(shiny, rng.uniform(0.05, 0.4, count), 0.0),
-        )
-        self.photograph = self.noise + rng.integers(0, max(self.photographs, 1), count)
-        self.choice = rng.random(count) if self.photographs else np.ones(count)
-        self.used = 0
+        """Draw numbers whose logarithm is uniform; the bounds may come in either order."""
+        return log_uniform(self.rng, low, high, size)
 
     def draw_materials(self, count: int, depth: ArrayLike, kind: int | None = None) -> Material:
-        """Draw materials of surfaces that are seen from ``depth`` metres.
-
-        If there are photographs, three in four are photographs and the others any noise.
-        ``kind`` asks for one kind of noise; then half are photographs.
-        """
-        if self.used + count > len(self.choice):
-            self._draw_stock(max(count, MATERIALS_PER_DRAW))
-        part = slice(self.used, self.used + count)
-        self.used += count
-        material = self.stock[part]
-        if kind is not None:
-            cycles = max(1, self.noise // len(NOISE_KINDS))
-            material.texture = kind + len(NOISE_KINDS) * (material.texture % cycles)
-            material.texture = np.minimum(material.texture, self.noise - 1)
-        chosen = self.choice[part] < (0.75 if kind is None else 0.5)
-        material.texture = np.where(chosen, self.photograph[part], material.texture)
-        material.density /= np.asarray(depth)
-        return material
+        """Draw materials of surfaces seen from ``depth`` metres; see `MaterialStock.draw`."""
+        return self._materials.draw(count, depth, kind)
 
     def add_rectangles(
         self, centre: Floats, x: Floats, y: Floats, material: Material, **extras: Any

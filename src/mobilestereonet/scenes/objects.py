@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mobilestereonet.scenes.builder import Material, SceneBuilder, yaw_rotations
+from mobilestereonet.scenes.builder import SceneBuilder, yaw_rotations
 from mobilestereonet.scenes.masks import BARS, FOLIAGE, MESH
+from mobilestereonet.scenes.materials import Material
 from mobilestereonet.scenes.noise import ASPHALT, GRASS, WOOD
 from mobilestereonet.scenes.scene import (
     BARREL,
@@ -33,6 +34,28 @@ def stack_xyz(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Floats:
 def scale_axes(directions: Floats, half: Floats) -> Floats:
     """Half axes as columns, (n, 3, 3): rotations (n, 3, 3) times half sizes (n, 3)."""
     return directions * half[:, None, :]
+
+
+def add_backdrop(
+    build: SceneBuilder, depth: float, kind: int | None = None, tilt: float = 0.0
+) -> None:
+    """Add a wall across the whole view, perpendicular to the optical axis up to ``tilt``."""
+    view = max(build.width, build.height) / build.focal
+    half = 6 * depth * view + 2 * build.baseline
+    tilt = min(tilt, float(np.arctan(1.1 / view)))  # a wide view would look past its end
+    x, y, _ = half * (build.rotation.T @ yaw_rotations(build.rng.uniform(-tilt, tilt))[0]).T
+    centre = build.rotation[2] * depth
+    build.add_rectangles(centre[None], x[None], y[None], build.draw_materials(1, depth, kind))
+
+
+def add_ground(
+    build: SceneBuilder, below: float, far: float, kind: int | None, depth: float
+) -> None:
+    """Add a level plane ``below`` the camera, textured as seen from ``depth``."""
+    material = build.draw_materials(1, depth, kind)
+    build.add_rectangles(
+        stack_xyz(0, below, 0), stack_xyz(far, 0, 0), stack_xyz(0, 0, far), material
+    )
 
 
 def add_columns(

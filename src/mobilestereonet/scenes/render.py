@@ -8,17 +8,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from mobilestereonet.scenes.casting import (
+from mobilestereonet.scenes.appearance import gather_appearance
+from mobilestereonet.scenes.casting import cast_rays
+from mobilestereonet.scenes.projection import (
     LAMP,
     LEFT,
     RIGHT,
     VIEWS,
     ProjectedSurfaces,
-    cast_rays,
     project_surfaces,
 )
 from mobilestereonet.scenes.scene import QUADRIC, Scene
-from mobilestereonet.scenes.shading import make_materials, shade_images
+from mobilestereonet.scenes.shading import shade_images
 from mobilestereonet.scenes.textures import TextureBank
 
 # A right pixel that shows another surface hides the left one only if it is this much nearer (px).
@@ -69,16 +70,16 @@ def render_scenes(
         the left pixel is hidden from the right camera (B, H, W).
     """
     projected = project_surfaces(scenes, size, masks.device)
-    materials = make_materials(scenes, projected, size, bank)
+    appearance = gather_appearance(scenes, projected, size, bank)
     disparity, index = cast_rays(projected, len(scenes), size, 0.0, masks, len(VIEWS))
     lamp = disparity[:, LAMP], index[:, LAMP]
     disparity, index = disparity[:, :LAMP], index[:, :LAMP]
-    colour = shade_images(projected, materials, bank, (disparity, index), lamp, 0.0, -0.5)
+    colour = shade_images(projected, appearance, bank, (disparity, index), lamp, 0.0, -0.5)
     if rays > 1:
         # A pixel is the mean of its centre and of its four corners, which neighbours share: five
         # samples for two rays. Ground truth is the centre's.
         found = cast_rays(projected, len(scenes), size, -0.5, masks, LAMP)
-        corners = shade_images(projected, materials, bank, found, lamp, -0.5, 0.0)
+        corners = shade_images(projected, appearance, bank, found, lamp, -0.5, 0.0)
         corners = F.pad(corners.flatten(0, 2), (0, 1, 0, 1), mode="replicate")
         across = corners[..., 1:] + corners[..., :-1]
         colour = 0.5 * colour + 0.125 * (across[:, 1:] + across[:, :-1]).view_as(colour)

@@ -5,105 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from mobilestereonet.scenes.casting import (
-    ProjectedSurfaces,
-    concat_field,
-    lamp_axes,
-    lamp_focal,
-    to_device,
-)
-from mobilestereonet.scenes.scene import QUADRIC, Scene
+from mobilestereonet.scenes.appearance import Appearance
+from mobilestereonet.scenes.projection import ProjectedSurfaces
 from mobilestereonet.scenes.textures import TextureBank
 
 # Rays shaded at once on the CPU: the working set stays in the cache.
 CPU_BLOCK_RAYS = 1 << 16
-
-
-@dataclass(frozen=True)
-class Materials:
-    """Appearance of the surfaces of a batch of scenes; n surfaces.
-
-    Columns lie in the first dimension, as picking from one column at a time is fastest.
-
-    Attributes:
-        curved: Whether the surface is a quadric, (n,).
-        start: Texel coordinates of the eye seen through a rectangle's frame, (2, 2 n): x and y,
-            for surface and view in this order.
-        step: Change of the texel coordinates with depth: rows of x and y, (6, n).
-        curve: Rows of a quadric's local position at its anchor and of its change with depth, for
-            surface and view in this order, (18, 2 n).
-        turn: Local gradient of a quadric to the camera's frame, (9, n).
-        texels: Local surface coordinates to texels, (6, n).
-        normal: A rectangle's unit normal, (3, n).
-        footprint: Texels per pixel times disparity, seen head-on, (n,).
-        texture: Index of the texture, (n,).
-        base: Colour that does not vary, (3, n).
-        gain: Factor on the texture's bytes, (3, n).
-        gloss: Strength of the highlight, (n,).
-        light: One row per scene: the camera and the lamp, (B, 22).
-    """
-
-    curved: Tensor
-    start: Tensor
-    step: Tensor
-    curve: Tensor
-    turn: Tensor
-    texels: Tensor
-    normal: Tensor
-    footprint: Tensor
-    texture: Tensor
-    base: Tensor
-    gain: Tensor
-    gloss: Tensor
-    light: Tensor
-
-
-def _light_row(scene: Scene, size: tuple[int, int]) -> list[float]:
-    camera = [scene.focal, scene.cx, scene.cy, scene.baseline]
-    lamp = [*scene.light, scene.ambient, scene.diffuse, scene.reach**2, scene.shininess]
-    # Beyond the lit region, as on the sky, nothing casts a shadow.
-    farthest = float(np.linalg.norm(scene.focus - scene.light)) + 4 * scene.spread
-    return [*camera, *lamp, lamp_focal(scene, size), *lamp_axes(scene).ravel(), farthest]
-
-
-def make_materials(
-    scenes: Sequence[Scene], projected: ProjectedSurfaces, size: tuple[int, int], bank: TextureBank
-) -> Materials:
-    """Gather the materials of all scenes on the device of ``bank``."""
-    device = bank.pixels.device
-    baseline = np.repeat(
-        [scene.baseline for scene in scenes], [len(scene.surfaces.shape) for scene in scenes]
-    )
-    texture = to_device(concat_field(scenes, "texture"), device)
-    colour = to_device(concat_field(scenes, "colour"), device).T
-    contrast = to_device(concat_field(scenes, "contrast"), device)
-    texels = to_device(concat_field(scenes, "texels"), device)
-    across = texels[:, None, :, :2, None]
-    start = (across * projected.eye[:, :2, None, :2, None]).sum((3, 4)) + texels[:, None, :, 2]
-    step = (across * projected.direction[:, :1, None, :2]).sum(3)[:, 0]
-    normal = projected.normal[:, :, 2]
-    curve = torch.cat(
-        [projected.origin[:, :2].flatten(2), projected.direction[:, :2].flatten(2)], 2
-    )
-    return Materials(
-        curved=projected.shape == QUADRIC,
-        start=start.permute(2, 0, 1).reshape(2, -1).contiguous(),
-        step=step.reshape(-1, 6).T.contiguous(),
-        curve=curve.flatten(0, 1).T.contiguous(),
-        turn=projected.normal.flatten(1).T.contiguous(),
-        texels=texels.flatten(1).T.contiguous(),
-        normal=torch.nn.functional.normalize(normal, dim=-1).T.contiguous(),
-        footprint=to_device(concat_field(scenes, "density") * baseline, device),
-        texture=texture,
-        base=(colour * bank.means[texture].T * (1 - contrast)).contiguous(),
-        gain=(colour * contrast / 255).contiguous(),
-        gloss=to_device(concat_field(scenes, "gloss"), device),
-        light=to_device(np.array([_light_row(scene, size) for scene in scenes]), device),
-    )
 
 
 @dataclass(frozen=True)
@@ -124,14 +34,14 @@ def _dot(a: Sequence[Tensor], b: Sequence[Tensor]) -> Tensor:
 
 def _shade_quadrics(
     projected: ProjectedSurfaces,
-    materials: Materials,
+    appearance: Appearance,
     rays: Rays,
     depth: Tensor,
     flat: Sequence[Tensor],
 ) -> None:
     """Overwrite texel coordinates and normals, flattened, where the surface is a quadric."""
     surface = rays.surface.flatten()
-    where = torch.nonzero(materials.curved.index_select(0, surface))[:, 0]
+    where = torch.nonzero(appearance.curved.index_select(0, surface))[:, 0]
     if not len(where):
         return
     width = rays.x.shape[0]
@@ -145,16 +55,16 @@ def _shade_quadrics(
     def pick(columns: Tensor, at: Tensor) -> list[Tensor]:
         return [column.index_select(0, at) for column in columns]
 
-    rows = pick(materials.curve, 2 * which + view)
+    rows = pick(appearance.curve, 2 * which + view)
     place = [rows[i] * x + rows[i + 1] * y + rows[i + 2] for i in range(0, 18, 3)]
     lx, ly, lz = (place[i] + beyond * place[i + 3] for i in range(3))
     alpha, beta, _ = pick(projected.quadric.T.contiguous(), which)
     gradient = (lx, ly, alpha * lz + 0.5 * beta)
-    rows = pick(materials.turn, which)
+    rows = pick(appearance.turn, which)
     normal = [_dot(rows[i : i + 3], gradient) for i in range(0, 9, 3)]
     length = _dot(normal, normal).rsqrt()
     angle = torch.atan2(ly, lx)
-    rows = pick(materials.texels, which)
+    rows = pick(appearance.texels, which)
     texel = [rows[i] * angle + rows[i + 1] * lz + rows[i + 2] for i in (0, 3)]
     values = (*texel, *(length * component for component in normal))
     for target, value in zip(flat, values, strict=True):
@@ -199,7 +109,7 @@ def _lamp_visibility(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own
 
 def shade(
     projected: ProjectedSurfaces,
-    materials: Materials,
+    appearance: Appearance,
     bank: TextureBank,
     rays: Rays,
     coarser: float,
@@ -218,18 +128,18 @@ def shade(
     depth = focal * baseline / rays.disparity
     seen_from = (2 * rays.surface + view).flatten()
     texel = [
-        materials.start[i].index_select(0, seen_from).view(shape)
+        appearance.start[i].index_select(0, seen_from).view(shape)
         + depth
         * (
-            pick(materials.step[3 * i]) * rays.x
-            + (pick(materials.step[3 * i + 1]) * rays.y)
-            + pick(materials.step[3 * i + 2])
+            pick(appearance.step[3 * i]) * rays.x
+            + (pick(appearance.step[3 * i + 1]) * rays.y)
+            + pick(appearance.step[3 * i + 2])
         )
         for i in range(2)
     ]
-    normal = [pick(column) for column in materials.normal]
+    normal = [pick(column) for column in appearance.normal]
     _shade_quadrics(
-        projected, materials, rays, depth, [values.view(-1) for values in (*texel, *normal)]
+        projected, appearance, rays, depth, [values.view(-1) for values in (*texel, *normal)]
     )
     # The point seen, from the left camera, from the camera that sees it, and from the lamp.
     shift = view * baseline
@@ -246,17 +156,17 @@ def shade(
     shading = ambient * (1 - 0.25 * normal[1] * sign) + diffuse * lit * lambert
     half = [a * to_eye + b * to_lamp for a, b in zip(from_eye, from_lamp, strict=True)]
     glance = (-_dot(normal, half) * sign * _dot(half, half).rsqrt()).clamp_min(1e-6)
-    highlight = pick(materials.gloss) * lit * torch.exp2(shininess * glance.log2())
+    highlight = pick(appearance.gloss) * lit * torch.exp2(shininess * glance.log2())
     # Between the footprint's short and long side: a slanted surface's foreshortening is shared
     # by the five samples per pixel and some blur.
-    footprint = pick(materials.footprint) / (rays.disparity * (cosine * cosine.sqrt()).sqrt())
-    texture = materials.texture.index_select(0, surface)
+    footprint = pick(appearance.footprint) / (rays.disparity * (cosine * cosine.sqrt()).sqrt())
+    texture = appearance.texture.index_select(0, surface)
     colour = bank.sample(
         texture, texel[0].flatten(), texel[1].flatten(), footprint.log2().flatten() + coarser
     )
     return torch.stack(
         [
-            (pick(materials.base[i]) + pick(materials.gain[i]) * colour[i].view(shape)) * shading
+            (pick(appearance.base[i]) + pick(appearance.gain[i]) * colour[i].view(shape)) * shading
             + highlight
             for i in range(3)
         ]
@@ -265,7 +175,7 @@ def shade(
 
 def shade_images(
     projected: ProjectedSurfaces,
-    materials: Materials,
+    appearance: Appearance,
     bank: TextureBank,
     found: tuple[Tensor, Tensor],
     lamp: tuple[Tensor, Tensor],
@@ -276,7 +186,7 @@ def shade_images(
 
     Args:
         projected: Surfaces.
-        materials: Their appearance.
+        appearance: Their appearance.
         bank: Textures.
         found: Disparity and surface of the rays, (B, 2, H, W).
         lamp: Disparity and surface in the lamp's view, (B, H, W).
@@ -308,8 +218,8 @@ def shade_images(
             # A ray may slip through a seam between surfaces: finite for all that.
             disparity=disparity[part, :, rows].clamp_min(1e-4),
             surface=surface[part, :, rows].contiguous(),
-            light=materials.light[part],
+            light=appearance.light[part],
             lamp=(lamp[0][part], lamp[1][part]),
         )
-        image[:, part, :, rows] = shade(projected, materials, bank, rays, coarser)
+        image[:, part, :, rows] = shade(projected, appearance, bank, rays, coarser)
     return image
