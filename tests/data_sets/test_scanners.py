@@ -560,7 +560,7 @@ def test_strict_names_both_counts(tmp_path):
 
 
 def test_registry(tmp_path):
-    assert set(data_sets()) == {
+    assert set(data_sets()) >= {
         *("sceneflow", "kitti2012", "kitti2015", "vkitti2", "drivingstereo", "sintel", "eth3d"),
         *("middlebury2003", "middlebury2005", "middlebury2006", "middlebury2014"),
         *("middlebury2021", "middeval3", "folder"),
@@ -590,15 +590,17 @@ def test_registry(tmp_path):
 def test_a_data_set_is_registered_by_its_decorator(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
 
-    @register_data_set("mine")
-    class Mine(PairFolder):
-        pass
+    for _ in range(2):  # as a notebook's cell that is run again
 
-    assert data_sets()["mine"] is Mine
-    with pytest.raises(FileNotFoundError, match=r"Mine \(all\): nothing found"):
-        open_data_set("mine", tmp_path)
-    with pytest.raises(InputError, match="data set 'mine' is Mine already"):
-        register_data_set("mine")(KITTI2015)
+        @register_data_set("own")
+        class Own(PairFolder):
+            pass
+
+        assert data_sets()["own"] is Own
+    with pytest.raises(FileNotFoundError, match=r"Own \(all\): nothing found"):
+        open_data_set("own", tmp_path)
+    with pytest.raises(InputError, match="data set 'own' is Own already"):
+        register_data_set("own")(KITTI2015)
 
 
 def test_occlusion_from_right_view():

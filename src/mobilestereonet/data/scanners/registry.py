@@ -24,8 +24,10 @@ def register_data_set(name: str) -> Callable[[_Scanner], _Scanner]:
     """
 
     def register(scanner: _Scanner) -> _Scanner:
-        if name in _REGISTRY:
-            raise InputError(f"data set {name!r} is {_REGISTRY[name].__name__} already")
+        known = _REGISTRY.get(name, scanner)
+        # The same class again is the notebook's cell that is run again.
+        if (known.__module__, known.__qualname__) != (scanner.__module__, scanner.__qualname__):
+            raise InputError(f"data set {name!r} is {known.__name__} already: choose another name")
         _REGISTRY[name] = scanner
         return scanner
 
