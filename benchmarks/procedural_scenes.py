@@ -1,4 +1,4 @@
-"""Procedural scenes per second, as training under the recipe ``procedural`` asks for them.
+"""Benchmark: procedural scenes per second, as the recipe ``procedural`` draws them.
 
 python benchmarks/procedural_scenes.py [--batches 4] [--batch-size 8] [--textures DIR]
 """

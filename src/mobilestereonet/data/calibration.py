@@ -38,9 +38,9 @@ def read_calibration(
     left: str | Path | None = None,
     unit: str | None = None,
 ) -> Calibration:
-    """Read the geometry of a rectified pair; the format is told by the content.
+    """Read the calibration of a rectified pair, in any of several formats.
 
-    Understood are:
+    The format is recognised by the content:
 
     - ``calib.txt`` of Middlebury (2014, 2021, MiddEval3) and ETH3D, with
       ``cam0=[fx 0 cx; 0 fy cy; 0 0 1]`` and the baseline in millimetres;
@@ -211,7 +211,7 @@ def _opencv(entries: dict[str, Any], unit: str | None) -> Calibration:
 
 
 def _size(entries: dict[str, str], *names: str) -> tuple[int, int] | None:
-    """Width and height, where the file tells them."""
+    """Width and height, if the file has them."""
     if not set(names) <= entries.keys():
         return None
     width, height = (float(n) for name in names for n in _numbers(entries, name, 2 // len(names)))
@@ -238,7 +238,7 @@ def _numbers(entries: dict[str, str], name: str, *shape: int) -> Matrix:
 
 
 def write_calibration(path: str | Path, calibration: Calibration, size: tuple[int, int]) -> None:
-    """Write the geometry of a rectified pair as Middlebury's ``calib.txt``, atomically.
+    """Write the calibration of a rectified pair as Middlebury's ``calib.txt``, atomically.
 
     Args:
         path: The file to write.

@@ -74,12 +74,12 @@ def _node_value(node: cv2.FileNode) -> Any:
 
 
 def matrix_of(entries: dict[str, Any], names: Iterable[str], shape: tuple[int, ...]) -> Matrix:
-    """The first entry of these names as an array.
+    """Look up an entry under one of several names, as an array.
 
     Args:
         entries: A camera file's names and values. A matrix is an array, a list, or a mapping whose
             ``data`` is a list.
-        names: What the entry may be called.
+        names: Names that the entry may have, in order of precedence.
         shape: Shape of the result; -1 takes any size.
 
     Raises:
@@ -99,7 +99,7 @@ def matrix_of(entries: dict[str, Any], names: Iterable[str], shape: tuple[int, .
 
 
 def baseline_in_metres(value: float, unit: str | None) -> float:
-    """A baseline of a file in metres.
+    """Convert a baseline to metres.
 
     Args:
         value: The baseline in ``unit``.
@@ -119,7 +119,7 @@ def baseline_in_metres(value: float, unit: str | None) -> float:
 
 @dataclass(frozen=True)
 class StereoRig:
-    """Two calibrated cameras whose views are not rectified.
+    """Calibration of two cameras whose views are not rectified.
 
     Attributes:
         left: Camera matrix of the left camera, (3, 3).
@@ -141,7 +141,7 @@ class StereoRig:
 
 
 def read_rig(*paths: str | Path, unit: str | None = None) -> StereoRig:
-    """Read what `cv2.stereoCalibrate` gave: a file of OpenCV's FileStorage, or several.
+    """Read the results of `cv2.stereoCalibrate` from a file of OpenCV's FileStorage, or several.
 
     Names are those of OpenCV's samples: ``M1 D1 M2 D2 R T``, also ``K1 K2``, ``cameraMatrix1``,
     ``distCoeffs1`` and so on; ``image_width`` and ``image_height``, or ``imageSize``, if present.

@@ -170,7 +170,7 @@ def read_disparity_vkitti2(path: str | Path, calibration: Calibration) -> tuple[
 
 
 def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
-    """Read a PFM, NumPy or grey image file of disparities, told apart by the ending.
+    """Read a PFM, NumPy or grey image file of disparities, by its ending.
 
     Args:
         path: A ``.pfm``, a ``.npy`` (float, unknown where not finite or not above 0), or a grey

@@ -24,7 +24,7 @@ class Submission:
             bits, or a ``.pfm``.
         runtimes: Scene to the name of the text file with its seconds; empty where the server
             takes none.
-        runtime_label: What stands before the number in that file.
+        runtime_label: Text before the number in that file.
     """
 
     maps: Mapping[str, str]
@@ -43,7 +43,7 @@ class Benchmark:
         scenes: Splits that are submitted, and the scenes of each.
         map_file: Template of the disparity maps' names.
         runtime_file: Template of the runtime files' names; None where the server takes none.
-        runtime_label: What stands before the seconds in these files.
+        runtime_label: Text before the seconds in these files.
         sizes: Sizes of the views to choose from; empty where there is one.
         method_pattern: Regular expression of the methods' names; None where names do not matter.
         method_rule: The same in words.

@@ -183,7 +183,7 @@ class SceneBuilder:
         """Factors on the contrast of surfaces, (n,): small for some of those large and near.
 
         Large is what spans about a quarter of the view both ways, near what has its centre nearer
-        than 8 times the nearest things (as all ground has, whose centre is below the camera); far
+        than 8 times the nearest objects (as all ground has, whose centre is below the camera); far
         planes such as the sky are textureless often enough.
         """
         rng, count = self.rng, len(centre)

@@ -22,7 +22,7 @@ _WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
 class PairFolder(StereoDataSet):
     """Data set of pairs in any folder, found by patterns.
 
-    What the wildcards of ``left`` stand for in a file is filled in for the wildcards of
+    What the wildcards of ``left`` match in a file's path is filled in for the wildcards of
     ``right`` and ``disparity``, in the same order::
 
         root
@@ -99,7 +99,7 @@ class PairFolder(StereoDataSet):
         )
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
-        """Read disparity in the format that the ending tells."""
+        """Read disparity in the format of the file's ending."""
         return read_disparity(truth, self.scale)
 
     def read_calibration(self, left: Path) -> Calibration | None:
