@@ -82,7 +82,7 @@ def error_map(
 ) -> Picture:
     """Colour the error as KITTI does: cold colours are inliers, warm ones outliers of D1.
 
-    The colour stands for min(error / 3 px, error / 5 % of the ground truth), on a logarithmic scale.
+    The colour is min(error / 3 px, error / 5 % of the ground truth), on a logarithmic scale.
 
     Args:
         prediction: (H, W), in px.

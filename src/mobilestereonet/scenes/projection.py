@@ -34,8 +34,8 @@ class ProjectedSurfaces:
         origin: Local position at depth ``anchor``, (n, 3, 3, 3).
         direction: Change of the local position with depth, (n, 3, 3, 3).
         eye: The views' centres in local coordinates, (n, 3, 3).
-        anchor: Depth of the surface's centre, the reference that keeps small distant surfaces exact,
-            (n, 3).
+        anchor: Depth of the surface's centre, the reference that keeps small distant surfaces
+            exact, (n, 3).
         focal_baseline: Disparity times depth, (n,).
         quadric: a, b, c of x^2 + y^2 + a z^2 + b z + c = 0, (n, 3).
         bounds: x0, y0, x1, y1 of a quadric in the image, (n, 3, 4).
