@@ -96,6 +96,22 @@ def _views(scene: Scene, size: tuple[int, int]) -> tuple[Floats, Floats, Floats]
     return eyes, axes, np.array([camera, camera, lamp])
 
 
+def _image_bounds(
+    axes: Floats, centre: Floats, eyes: Floats, view_axes: Floats, intrinsics: Floats
+) -> Floats:
+    """Bounding boxes x0, y0, x1, y1 of the surfaces in each view, (n, 3, 4), in pixels."""
+    focal, cx, cy = np.moveaxis(intrinsics, -1, 0)
+    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(8, 3)
+    points = centre[:, None] + np.einsum("nij,kj->nki", axes, corners)
+    points = np.einsum("nvij,nvkj->nvki", view_axes, points[:, None] - eyes[:, :, None])
+    depth = points[..., 2].clip(1e-3)
+    columns = points[..., 0] / depth * focal[..., None] + cx[..., None]
+    rows = points[..., 1] / depth * focal[..., None] + cy[..., None]
+    bounds = np.stack([columns.min(-1), rows.min(-1), columns.max(-1), rows.max(-1)], -1)
+    bounds[(points[..., 2] <= 1e-3).any(-1)] = -1e6  # layouts keep quadrics before the cameras
+    return np.asarray(bounds)
+
+
 def project_surfaces(
     scenes: Sequence[Scene], size: tuple[int, int], device: torch.device
 ) -> ProjectedSurfaces:
@@ -122,14 +138,6 @@ def project_surfaces(
     scaled = focal_baseline[:, None, None, None] * direction
     disparity = -scaled[:, :, 2] / away
     across = [eye[..., i, None] * disparity + scaled[:, :, i] for i in (0, 1)]
-    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(8, 3)
-    points = centre[:, None] + np.einsum("nij,kj->nki", axes, corners)
-    points = np.einsum("nvij,nvkj->nvki", view_axes, points[:, None] - eyes[:, :, None])
-    depth = points[..., 2].clip(1e-3)
-    columns = points[..., 0] / depth * focal[..., None] + cx[..., None]
-    rows = points[..., 1] / depth * focal[..., None] + cy[..., None]
-    bounds = np.stack([columns.min(-1), rows.min(-1), columns.max(-1), rows.max(-1)], -1)
-    bounds[(points[..., 2] <= 1e-3).any(-1)] = -1e6  # layouts keep quadrics before the cameras
     arrays = {
         "scene": np.repeat(np.arange(len(scenes)), count),
         "shape": concat_field(scenes, "shape"),
@@ -140,7 +148,7 @@ def project_surfaces(
         "anchor": anchor,
         "focal_baseline": focal_baseline,
         "quadric": concat_field(scenes, "quadric"),
-        "bounds": bounds,
+        "bounds": _image_bounds(axes, centre, eyes, view_axes, intrinsics),
         "mask": concat_field(scenes, "mask"),
         "mask_repeat": concat_field(scenes, "mask_repeat"),
         "one_sided": concat_field(scenes, "one_sided"),

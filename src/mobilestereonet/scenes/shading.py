@@ -107,6 +107,34 @@ def _lamp_visibility(rays: Rays, light: Tensor, from_lamp: Sequence[Tensor], own
     return torch.where(seen, lit, 1.0)
 
 
+def _texels_and_normals(
+    projected: ProjectedSurfaces, appearance: Appearance, rays: Rays, depth: Tensor
+) -> tuple[list[Tensor], list[Tensor]]:
+    """Texel coordinates (x, y) and normals (x, y, z) of the rays' points, (b, 2, h, W) each."""
+    surface = rays.surface.flatten()
+    view = torch.arange(2, device=surface.device)[None, :, None, None]
+
+    def pick(values: Tensor) -> Tensor:
+        return values.index_select(0, surface).view(rays.surface.shape)
+
+    seen_from = (2 * rays.surface + view).flatten()
+    texel = [
+        appearance.start[i].index_select(0, seen_from).view(rays.surface.shape)
+        + depth
+        * (
+            pick(appearance.step[3 * i]) * rays.x
+            + (pick(appearance.step[3 * i + 1]) * rays.y)
+            + pick(appearance.step[3 * i + 2])
+        )
+        for i in range(2)
+    ]
+    normal = [pick(column) for column in appearance.normal]
+    _shade_quadrics(
+        projected, appearance, rays, depth, [values.view(-1) for values in (*texel, *normal)]
+    )
+    return texel, normal
+
+
 def shade(
     projected: ProjectedSurfaces,
     appearance: Appearance,
@@ -126,21 +154,7 @@ def shade(
         return values.index_select(0, surface).view(shape)
 
     depth = focal * baseline / rays.disparity
-    seen_from = (2 * rays.surface + view).flatten()
-    texel = [
-        appearance.start[i].index_select(0, seen_from).view(shape)
-        + depth
-        * (
-            pick(appearance.step[3 * i]) * rays.x
-            + (pick(appearance.step[3 * i + 1]) * rays.y)
-            + pick(appearance.step[3 * i + 2])
-        )
-        for i in range(2)
-    ]
-    normal = [pick(column) for column in appearance.normal]
-    _shade_quadrics(
-        projected, appearance, rays, depth, [values.view(-1) for values in (*texel, *normal)]
-    )
+    texel, normal = _texels_and_normals(projected, appearance, rays, depth)
     # The point seen, from the left camera, from the camera that sees it, and from the lamp.
     shift = view * baseline
     from_eye = (depth * ((rays.x - cx) / focal), depth * ((rays.y - cy) / focal), depth)
