@@ -21,7 +21,7 @@ from mobilestereonet.accelerate.slices import slice_layers
 from mobilestereonet.accelerate.soft_argmax import closed_form as soft_argmax
 from mobilestereonet.accelerate.soft_argmax import upsample
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.coarse_pass import halve, log_likelihood
+from mobilestereonet.nets.coarse_pass import halve, scaled_log_probability
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel, VolumeModel
 from mobilestereonet.nets.msnet import StereoNet
@@ -183,7 +183,7 @@ class ExportableStereoNet(ExportableNet):
 
 def guidance_in_four_dimensions(scores: Tensor) -> Tensor:
     """As `nets.coarse_pass.guidance_from_scores`, on tensors of four dimensions."""
-    likely = F.interpolate(log_likelihood(scores), scale_factor=2.0, mode="bilinear")
+    likely = F.interpolate(scaled_log_probability(scores), scale_factor=2.0, mode="bilinear")
     # Along the disparities: even planes, odd planes, then in order.
     below = torch.cat((likely[:, :1], likely[:, :-1]), dim=1)
     above = torch.cat((likely[:, 1:], likely[:, -1:]), dim=1)

@@ -1,4 +1,7 @@
-"""Convolution, v1 and v2 blocks, in 2D and 3D through one code path (the paper's Fig. 2)."""
+"""Convolution, v1 and v2 blocks, in 2D and 3D through one code path (Sec. 3.1, Fig. 2).
+
+v1: MobileNets (Howard et al., 2017); v2: MobileNetV2 (Sandler et al., CVPR 2018).
+"""
 
 from __future__ import annotations
 
@@ -140,7 +143,7 @@ def hourglass_block(
 
 
 def initialise(network: nn.Module) -> None:
-    """Set fresh weights as the authors do.
+    """Set fresh weights as the authors' release does.
 
     Convolutions start from a normal of standard deviation sqrt(2 / (kernel volume x out
     channels)); transposed convolutions, biases and norms keep PyTorch's defaults.

@@ -22,7 +22,7 @@ CostVolume = Literal[
 ]
 
 REDUCED_CHANNELS = 32
-"""Channels per view that a learned cost volume takes."""
+"""Channels per view after the channel reduction of the 2D networks (Sec. 3.2)."""
 
 _KERNEL_DEPTHS: dict[CostVolume, tuple[int, int, int]] = {
     "interlaced-1": (2, 8, 4),
@@ -32,11 +32,19 @@ _KERNEL_DEPTHS: dict[CostVolume, tuple[int, int, int]] = {
     "interlaced-16": (32, 2, 1),
     "concatenation": (8, 4, 2),
 }
-"""Depths of the three kernels, each also its stride. Only the first ones are the paper's."""
+"""Depths of the three kernels, each also its stride.
+
+Those of interlaced-4 are the released weights'. Of the others the paper gives the first depth; the
+rest, and that concatenation is as deep as interlaced-4, is our choice.
+"""
 
 
 class Correlation(nn.Module):
-    """Mean product of left and shifted right features, over all channels or per group."""
+    """Correlation of left and shifted right features: over all channels, or per group.
+
+    The mean of the products; the paper writes a dot product. Groups: Gwc of GwcNet (Guo et al.,
+    CVPR 2019).
+    """
 
     def __init__(self, groups: int = 1) -> None:
         super().__init__()
@@ -53,11 +61,12 @@ class Correlation(nn.Module):
 
 
 class LearnedVolume(nn.Module):
-    """Interlacing cost volume (the paper's Sec. 3.2, Fig. 5), and concatenation likewise.
+    """Interlacing cost volume (the paper's Sec. 3.2, Eq. 2, Fig. 5), and concatenation likewise.
 
     The channels of both views, interlaced (L0 R0 L1 R1 ...) or one view after the other, form
-    the depth of a one-channel volume. Three 3D convolutions, whose kernels reach as deep as their
-    strides, and a 1x1 convolution turn it into one plane per disparity.
+    the depth of a one-channel volume. Three 3D convolutions m x 3 x 3 of stride m x 1 x 1, whose
+    kernels so do not overlap in depth, and a 1x1 convolution, each with batch norm and ReLU, turn
+    it into one plane per disparity. The 3D ones have a bias, as in the released weights.
     """
 
     def __init__(self, kind: CostVolume) -> None:

@@ -74,9 +74,10 @@ def _stage(
 
 
 class FeatureExtraction(nn.Module):
-    """Three first convolutions and four residual stages.
+    """Feature extraction (Sec. 3.2): three first convolutions and four residual stages.
 
-    (B, 3, H, W) -> (B, 320, H / 4, W / 4): stages 2, 3 and 4 concatenated.
+    3 blocks of 32 channels; 16 of 64, the first of stride 2; 3 of 128; 3 of 128 with dilation 2.
+    Stages 2, 3 and 4 are concatenated.
     """
 
     def __init__(self, config: NetConfig) -> None:
@@ -89,14 +90,20 @@ class FeatureExtraction(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """(B, 3, H, W), H and W multiples of 4 -> (B, 320, H / 4, W / 4)."""
+        return torch.cat(self.stages(image), dim=1)
+
+    def stages(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Stages 2, 3 and 4: (B, 64, H / 4, W / 4), (B, 128, ...) and (B, 128, ...)."""
         stage2 = self.stage2(self.stage1(self.first(image)))
         stage3 = self.stage3(stage2)
-        stage4 = self.stage4(stage3)
-        return torch.cat((stage2, stage3, stage4), dim=1)
+        return stage2, stage3, self.stage4(stage3)
 
 
 def channel_reduction() -> nn.Sequential:
-    """1x1 convolutions 320, 256, 128, 64 with batch norm and ReLU, then 64 -> 32 with bias."""
+    """Channel reduction of the 2D networks (Sec. 3.2): (B, 320, H, W) -> (B, 32, H, W).
+
+    1x1 convolutions 320, 256, 128, 64 with batch norm and ReLU, then 64 -> 32 with bias.
+    """
     channels = (FEATURE_CHANNELS, 256, 128, 64)
     layers: list[nn.Module] = [
         conv_norm(2, inputs, outputs, kernel=1) for inputs, outputs in itertools.pairwise(channels)

@@ -18,7 +18,7 @@ from mobilestereonet.nets.msnet_config import NetConfig
 
 
 class PreHourglass(nn.Module):
-    """Two blocks, then two more with a skip around them."""
+    """Pre-hourglass (Sec. 3.2): two blocks, then two more with a skip around them."""
 
     def __init__(self, config: NetConfig, inputs: int) -> None:
         super().__init__()
@@ -44,7 +44,10 @@ class PreHourglass(nn.Module):
 
 
 class Hourglass(nn.Module):
-    """Down by 4 in two steps and up again, with skip connections at both levels."""
+    """Hourglass (Sec. 3.2, Fig. A1): to a quarter of the volume's size and up again, with skips.
+
+    The ReLUs after both sums are functional: the paper's count of MACs leaves them out.
+    """
 
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
@@ -85,7 +88,10 @@ class Hourglass(nn.Module):
 
 
 class Head(nn.Module):
-    """Matching scores per disparity: 3x3(x3) convolution, batch norm, ReLU, 3x3(x3) convolution."""
+    """Matching scores per disparity: 3x3(x3) convolution, batch norm, ReLU, 3x3(x3) convolution.
+
+    As in the authors' release; the paper does not describe it.
+    """
 
     def __init__(self, config: NetConfig) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""`StereoModel`, the interface of every stereo network, and `VolumeModel` for those that score."""
+"""`StereoModel`, the interface of every stereo network; `VolumeModel`, with a cost volume."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Preprocessing:
         """RGB in 0..1, (..., 3, H, W), to the network's input of the same shape."""
         mean = view.new_tensor(self.mean)[:, None, None]
         std = view.new_tensor(self.std)[:, None, None]
-        return ((view if self.scale == 1 else view * self.scale) - mean) / std
+        return (view * self.scale - mean) / std
 
 
 RGB = Preprocessing()
@@ -101,7 +101,7 @@ class StereoModel(nn.Module):
         raise NotImplementedError
 
     def training_loss(self, outputs: Any, disparity: Tensor, valid: Tensor) -> Tensor:
-        """The loss of the network's paper.
+        """The loss of the network's paper, on the pixels that the caller chooses.
 
         Args:
             outputs: What ``forward`` returned in training mode.
@@ -154,8 +154,8 @@ class VolumeOutputs:
 
     Args:
         scores: Matching scores (B, D, H / s, W / s) per head, first to last; in eval mode those of
-            the last head alone.
-        volume: The cost volume (B, C, D, H / s, W / s).
+            the last head alone. s is ``regression.scale``.
+        volume: The cost volume (B, C, D, H / s, W / s); None from networks that do not give it.
         regression: From scores to disparity.
     """
 
@@ -177,7 +177,7 @@ class VolumeOutputs:
 
     @property
     def disparity(self) -> Tensor:
-        """The last head's."""
+        """Expected disparity of the last head, (B, H, W), in pixels."""
         return self.disparities[-1]
 
 
@@ -234,5 +234,8 @@ class VolumeModel(StereoModel):
 
 
 def trained_pixels(disparity: Tensor, valid: Tensor, max_disparity: int) -> Tensor:
-    """Pixels that losses look at: (B, H, W) bool, known ground truth 0 < d < max_disparity."""
+    """Pixels with known ground truth 0 < d < max_disparity: (B, H, W) bool.
+
+    Those that MobileStereoNet trains and evaluates on.
+    """
     return valid & (disparity > 0) & (disparity < max_disparity)

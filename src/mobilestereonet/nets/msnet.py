@@ -1,8 +1,9 @@
 """MobileStereoNet (Shamsafar et al., WACV 2022): the networks of the paper and of its ablations.
 
 Both views go through the features one after the other, a loop over the disparities builds the
-cost volume, and an encoder-decoder (a pre-hourglass and stacked hourglasses, in 2D or 3D) turns it
-into matching scores per head (the paper's Fig. 4).
+cost volume (Sec. 3.2), and an encoder-decoder (a pre-hourglass and stacked hourglasses, in 2D or
+3D) turns it into matching scores per head (Figs. 4 and A1). The paper does not describe the heads
+and the regression; they follow the authors' release.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 UNGUIDED_STEPS = 4
-"""Of so many training steps one is without guidance, as the coarse pass itself is."""
+"""Every n-th training step runs unguided, so that the network also learns the coarse pass."""
 
 
 class StereoNet(VolumeModel):
@@ -42,7 +43,7 @@ class StereoNet(VolumeModel):
         self.volume = (
             LearnedVolume(config.cost_volume)
             if config.learns_volume
-            else Correlation(config.volume_channels)
+            else Correlation(groups=config.volume_channels)
         )
         inputs = config.volume_channels * (config.planes if config.dims == 2 else 1)
         self.pre_hourglass = PreHourglass(config, inputs)
@@ -57,7 +58,7 @@ class StereoNet(VolumeModel):
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""
         self.check_views(left, right)
-        guidance = self.guidance(left, right)  # first, while no volume takes memory
+        guidance = self.guidance(left, right)
         volume = self.cost_volume(left, right, self.config.planes)
         return VolumeOutputs(self.aggregate(volume, guidance), volume, self.regression)
 
@@ -80,7 +81,7 @@ class StereoNet(VolumeModel):
 
         Args:
             volume: (B, C, D, H / 4, W / 4).
-            guidance: (B, D, H / 4, W / 4), see `guidance`; None, as zeros, tells nothing.
+            guidance: (B, D, H / 4, W / 4), see `guidance`; None or zeros: no guidance.
 
         Returns:
             One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
@@ -104,8 +105,8 @@ class StereoNet(VolumeModel):
             right: Right views, likewise.
 
         Returns:
-            (B, D, H / 4, W / 4), zeros in an unguided training step; None from a network without
-            a coarse pass.
+            (B, D, H / 4, W / 4), zeros in an unguided training step (so that ``guide`` has a
+            gradient in every step); None from a network without a coarse pass.
         """
         if not self.config.coarse_pass:
             return None
@@ -124,8 +125,8 @@ class StereoNet(VolumeModel):
     def zero_residuals(self) -> None:
         """Start every residual branch at zero: the last batch norm's scale in each.
 
-        Fresh weights as the authors draw them amplify rounding some ten thousand times from input
-        to scores, so that reduced precision gives the first layers gradients of mere noise.
+        Fresh weights as the authors draw them amplify rounding errors so much from input to scores
+        that in reduced precision the gradients of the first layers are noise. (Not in the paper.)
         """
         for module in self.modules():
             if isinstance(module, ResidualBlock):
@@ -139,8 +140,8 @@ MSNET3D = NetConfig(
     dims=3, channel_reduction=False, cost_volume="groupwise", width=32, v2_relu=False
 )
 
-# The baselines have standard convolutions and one hourglass; v2 blocks that the ablations put
-# into them have t = 2 everywhere.
+# The baselines have standard convolutions and one hourglass (3D: GwcNet-g with one hourglass; 2D:
+# width 48, as the printed counts say); v2 blocks that the ablations put into them have t = 2.
 _BASELINE: dict[str, Any] = {
     "first_conv": "conv",
     "features": "conv",
@@ -155,10 +156,10 @@ BASELINE3D = replace(MSNET3D, **_BASELINE)
 
 
 def _ablations() -> dict[str, NetConfig]:
-    """The rows of the paper's ablation tables by name.
+    """The rows of the paper's ablation tables by name; some of them are the same network.
 
-    ``table2-<cost volume>``, ``table3a-<features>-<hourglass>`` (2D), ``table3b-...`` (3D) and
-    ``appendix2d-<first convolutions>-<pre-hourglass>`` (and 3d).
+    ``table2-<cost volume>``; ``table3a-<features>-<hourglass>`` (2D) and ``table3b-...`` (3D);
+    ``appendix2d-<first convolutions>-<pre-hourglass>`` and ``appendix3d-...`` (Tables A1, A2).
     """
     volumes: list[CostVolume] = ["concatenation", "correlation"]
     volumes += [kind for kind in get_args(CostVolume) if kind.startswith("interlaced")]
@@ -178,25 +179,26 @@ def _ablations() -> dict[str, NetConfig]:
 
 
 _PAPER = "Shamsafar et al., MobileStereoNet, WACV 2022"
-_CHECKPOINTS: dict[str, Any] = {
-    "checkpoints": "the authors' release, github.com/cogsys-tuebingen/mobilestereonet",
-    "trained_on": "SceneFlow; SceneFlow, then KITTI 2015",
+_RELEASE: dict[str, Any] = {
+    "paper": _PAPER,
+    "licence": "Apache-2.0 (code; SceneFlow's and KITTI's own terms apply to what was trained "
+    "on them)",
+    "checkpoints": "cogsys-tuebingen/mobilestereonet on GitHub",
+    "trained_on": "SceneFlow finalpass; that and KITTI 2015",
 }
 register_model(
     "msnet2d",
     config=MSNET2D,
-    paper=_PAPER,
     published={"SceneFlow EPE, px": 1.14, "KITTI 2015 validation D1, %": 2.53},
-    **_CHECKPOINTS,
+    **_RELEASE,
 )(StereoNet)
+# With the skip in its 3D blocks that the paper describes; the release does without.
+register_model("msnet3d", config=MSNET3D, paper=_PAPER)(StereoNet)
 register_model(
-    "msnet3d",
-    config=MSNET3D,
-    paper=_PAPER,
+    "msnet3d-authors",
+    config=replace(MSNET3D, v2_skip=False),
     published={"SceneFlow EPE, px": 0.8, "KITTI 2015 validation D1, %": 1.59},
-)(StereoNet)
-register_model(
-    "msnet3d-authors", config=replace(MSNET3D, v2_skip=False), paper=_PAPER, **_CHECKPOINTS
+    **_RELEASE,
 )(StereoNet)
 for _name, _config in {"baseline2d": BASELINE2D, "baseline3d": BASELINE3D, **_ablations()}.items():
     register_model(_name, config=_config, paper=_PAPER)(StereoNet)

@@ -16,7 +16,9 @@ FEATURE_CHANNELS = 320
 
 @dataclass(frozen=True, kw_only=True)
 class NetConfig:
-    """One row of the paper's tables. Every field means the same in 2D and 3D.
+    """A network of the family, such as one row of the paper's tables.
+
+    Every field but ``coarse_pass``, which is for 3D networks, means the same in 2D and 3D.
 
     Attributes:
         dims: 2 or 3, the dimensions of the encoder-decoder's convolutions.
@@ -67,8 +69,8 @@ class NetConfig:
     estimator: Estimator = "mean"
     coarse_pass: bool = False
 
-    unnamed: ClassVar[tuple[str, ...]] = ("max_disparity", "estimator", "coarse_pass")
-    """Fields that may differ from those of a registered name, see `model_name`."""
+    free_fields: ClassVar[tuple[str, ...]] = ("max_disparity", "estimator", "coarse_pass")
+    """Fields that do not change what a network is called, see `model_name`."""
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[object, ...]] = {

@@ -1,4 +1,4 @@
-"""Operations that several networks share, written plainly."""
+"""Plain functions that several networks share: cost volumes, padding, modes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from torch import Tensor, nn
 def cost_volume(
     compare: Callable[[Tensor, Tensor], Tensor], left: Tensor, right: Tensor, planes: int
 ) -> Tensor:
-    """Cost volume by a loop over disparities.
+    """Cost volume by a loop over disparities (MobileStereoNet's Eq. 1).
 
     Plane i compares left column x with right column x - i. The columns x < i, which have no
     partner, are zero; so are whole planes from the width on.
 
     Args:
-        compare: Left and right features (B, C, H, W - i) of the columns with a partner to costs
-            (B, channels, H, W - i).
+        compare: Eq. 1's G: maps the left and right features (B, C, H, W - i) of the columns with
+            a partner to costs (B, K, H, W - i).
         left: Features of the left views, (B, C, H, W).
         right: Features of the right views, likewise.
-        planes: Number of disparities D.
+        planes: Number of disparities D, one per pixel of the features.
 
     Returns:
-        (B, channels, D, H, W).
+        (B, K, D, H, W).
     """
     width = left.shape[-1]
     volume = []

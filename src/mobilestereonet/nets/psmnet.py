@@ -1,12 +1,12 @@
 """PSMNet (Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018), stacked and basic.
 
-Where the released code leaves the paper, this follows the code, which its weights obey: the last
-two stages of the features have dilations 1 and 2, in the paper 2 and 4.
+Where the released code departs from the paper, this follows the code, whose weights need it: the
+last two stages of the features have dilations 1 and 2, in the paper 2 and 4.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import torch
@@ -26,8 +26,8 @@ from mobilestereonet.nets.soft_argmax import SoftArgmax
 POOLING = (8, 16, 32, 64)
 """Sides of the pyramid's pooling windows, in features of a quarter of the resolution."""
 
-_SHARED = replace(BASELINE3D, width=32)
-"""What PSMNet's trunk, pre-hourglass and heads share with the paper's 3D baseline."""
+FEATURES = 32
+"""Channels per view that enter the cost volume."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,16 +58,14 @@ class PyramidFeatures(nn.Module):
     def __init__(self, config: PSMNetConfig) -> None:
         super().__init__()
         self.align_corners = config.align_corners
-        self.trunk = FeatureExtraction(_SHARED)
+        self.trunk = FeatureExtraction(BASELINE3D)  # the residual stages are those of PSMNet
         self.pools = nn.ModuleList(nn.AvgPool2d(side) for side in POOLING)
         self.branches = nn.ModuleList(conv_norm(2, 128, 32, kernel=1) for _ in POOLING)
-        self.fusion = nn.Sequential(conv_norm(2, 320, 128), nn.Conv2d(128, 32, 1, bias=False))
+        self.fusion = nn.Sequential(conv_norm(2, 320, 128), nn.Conv2d(128, FEATURES, 1, bias=False))
 
     def forward(self, image: Tensor) -> Tensor:
-        """See the class."""
-        trunk = self.trunk
-        stage2 = trunk.stage2(trunk.stage1(trunk.first(image)))
-        stage4 = trunk.stage4(trunk.stage3(stage2))
+        """(B, 3, H, W), H and W at least 256 -> (B, 32, H / 4, W / 4)."""
+        stage2, _, stage4 = self.trunk.stages(image)
         levels = [
             F.interpolate(
                 branch(pool(stage4)),
@@ -93,41 +91,46 @@ class StackedHourglass(nn.Module):
         self.up6 = transposed_norm(3, 64, 32)
 
     def forward(
-        self, x: Tensor, first_down: Tensor | None, last_up: Tensor | None
+        self, x: Tensor, first_down: Tensor | None, previous_up: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Down by 4 and up again.
 
         Args:
             x: (B, 32, D, H, W), sizes multiples of 4.
-            first_down: Features at half of the size on the first hourglass's way down, which its
-                successors add on their way up; None in the first, which adds its own.
-            last_up: Features at half of the size on the previous hourglass's way up; None in the
-                first.
+            first_down: Half-resolution features of the first hourglass on the way down ("pre" in
+                the release), which its successors add on their way up; None in the first, which
+                adds its own.
+            previous_up: Half-resolution features of the previous hourglass on the way up ("post");
+                None in the first.
 
         Returns:
-            The result (B, 32, D, H, W), and this hourglass's features at half of the size on the
-            way down and on the way up.
+            The result (B, 32, D, H, W), and this hourglass's half-resolution features (B, 64,
+            D / 2, H / 2, W / 2) on the way down and on the way up.
         """
         down = self.conv2(self.conv1(x))
-        down = F.relu(down if last_up is None else down + last_up)
+        down = F.relu(down if previous_up is None else down + previous_up)
         bottom = self.conv4(self.conv3(down))
         up = F.relu(self.up5(bottom) + (down if first_down is None else first_down))
         return self.up6(up), down, up
 
 
+_PAPER = "Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018"
+
+
+@register_model("psmnet-basic", config=PSMNetConfig(stacked=False), paper=_PAPER)
 @register_model(
     "psmnet",
-    paper="Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018",
+    paper=_PAPER,
     licence="MIT (code; nothing is said about the weights, KITTI's and SceneFlow's terms apply)",
-    checkpoints="JiaRenChang/PSMNet: pretrained_sceneflow_new.tar (half-pixel centres), "
-    "pretrained_model_KITTI2015.tar, pretrained_model_KITTI2012.tar (align_corners=True)",
-    trained_on="SceneFlow cleanpass; KITTI 2015; KITTI 2012",
-    published={"SceneFlow EPE, px": 1.09, "KITTI 2015 test D1-all, %": 2.32},
-)
-@register_model(
-    "psmnet-basic",
-    config=PSMNetConfig(stacked=False),
-    paper="Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018",
+    checkpoints="JiaRenChang/PSMNet on GitHub: pretrained_sceneflow_new.tar (align_corners=False); "
+    "pretrained_sceneflow.tar, pretrained_model_KITTI2015.tar and pretrained_model_KITTI2012.tar "
+    "(align_corners=True)",
+    trained_on="SceneFlow cleanpass; that and KITTI 2015 or KITTI 2012",
+    published={
+        "SceneFlow EPE, px": 1.09,
+        "SceneFlow EPE of pretrained_sceneflow_new.tar by its author, px": 0.974,
+        "KITTI 2015 test D1-all, %": 2.32,
+    },
 )
 class PSMNet(VolumeModel):
     """Pyramid features, a concatenation volume and a 3D encoder-decoder.
@@ -141,17 +144,17 @@ class PSMNet(VolumeModel):
     def __init__(self, config: PSMNetConfig) -> None:
         super().__init__(config)
         self.features = PyramidFeatures(config)
-        self.pre_hourglass = PreHourglass(_SHARED, 64)
+        self.pre_hourglass = PreHourglass(BASELINE3D, 2 * FEATURES)
         if config.stacked:
             self.head_weights = (0.5, 0.7, 1.0)
             self.hourglasses = nn.ModuleList(StackedHourglass() for _ in range(3))
-            self.heads = nn.ModuleList(Head(_SHARED) for _ in range(3))
+            self.heads = nn.ModuleList(Head(BASELINE3D) for _ in range(3))
         else:
             self.blocks = nn.ModuleList(
                 nn.Sequential(conv_norm(3, 32, 32), conv_norm(3, 32, 32, activation=None))
                 for _ in range(3)
             )
-            self.head = Head(_SHARED)
+            self.head = Head(BASELINE3D)
         self.regression = SoftArgmax(4, align_corners=config.align_corners)
         initialise(self)
 
@@ -159,20 +162,18 @@ class PSMNet(VolumeModel):
         """Concatenation volume (Sec. 3.3) and scores (Sec. 3.4), see `VolumeModel`."""
         self.check_views(left, right)
         left, right = self.features(left), self.features(right)
-        volume = cost_volume(
-            lambda *views: torch.cat(views, dim=1), left, right, self.max_disparity // 4
-        )
+        volume = cost_volume(concatenate, left, right, self.max_disparity // 4)
         x = self.pre_hourglass(volume)
         scores = self._stacked_scores(x) if self.config.stacked else [self._basic_scores(x)]
         return VolumeOutputs(scores if self.training else scores[-1:], volume, self.regression)
 
     def _stacked_scores(self, x: Tensor) -> list[Tensor]:
         """Each head adds to the scores of the one before: all three run in eval mode, too."""
-        first_down = last_up = None
+        first_down = previous_up = None
         y = x
         scores: list[Tensor] = []
         for hourglass, head in zip(self.hourglasses, self.heads, strict=True):
-            y, down, last_up = hourglass(y, first_down, last_up)
+            y, down, previous_up = hourglass(y, first_down, previous_up)
             first_down = down if first_down is None else first_down
             y = y + x
             scores.append(head(y) + scores[-1] if scores else head(y))
@@ -182,3 +183,8 @@ class PSMNet(VolumeModel):
         for block in self.blocks:
             x = block(x) + x
         return cast(Tensor, self.head(x))
+
+
+def concatenate(left: Tensor, right: Tensor) -> Tensor:
+    """Features (B, C, H, W) of both views, one after the other: (B, 2 C, H, W)."""
+    return torch.cat((left, right), dim=1)

@@ -161,7 +161,9 @@ def build_model(name: str, **overrides: Any) -> StereoModel:
 
 
 def is_model(config: Any, name: str) -> bool:
-    """Whether a config is a named model's, whatever its range (and the class's ``unnamed``).
+    """Whether a config is a named model's, whatever its disparity range.
+
+    The config's class may name more ``free_fields`` that do not change the name.
 
     Raises:
         FileNotFoundError: See `model_info`.
@@ -170,7 +172,7 @@ def is_model(config: Any, name: str) -> bool:
     named = model_config(name)
     if type(config) is not type(named):
         return False
-    free = getattr(named, "unnamed", ("max_disparity",))
+    free = getattr(named, "free_fields", ("max_disparity",))
     return bool(named == replace(config, **{key: getattr(named, key) for key in free}))
 
 

@@ -1,5 +1,8 @@
 """From matching scores to disparity and confidence: upsampling, softmax, expectation.
 
+The expectation under the softmax is GC-Net's soft argmin (Kendall et al., ICCV 2017) on negated
+costs, as in the authors' release of MobileStereoNet, whose paper does not describe its regression.
+
 An expectation over all disparities lies between foreground and background wherever both are
 possible: edges come out blurred. The estimator "mode" takes it over the most likely neighbourhood
 alone (the dominant mode of Xu et al., "Adaptive Multi-Modal Cross-Entropy Loss for Stereo
@@ -25,13 +28,13 @@ CONFIDENCE_RADIUS_PX = 2
 
 
 class SoftArgmax(nn.Module):
-    """Expected disparity under the softmax of upsampled scores (GC-Net, Kendall et al. 2017).
+    """Expected disparity under the softmax of upsampled scores.
 
     Args:
-        scale: Pixels from one coarse plane to the next, and of one coarse pixel: the scores are
-            upsampled by this factor in disparity, height and width.
-        estimator: "mean" takes the expectation over all disparities, as the papers do; "mode"
-            over the most likely neighbourhood. Training takes the mean.
+        scale: Full-resolution pixels per plane and per pixel of the scores, which are upsampled by
+            this factor in disparity, height and width.
+        estimator: "mean" takes the expectation over all disparities, as GC-Net does; "mode" over
+            the most likely neighbourhood. Training takes the mean.
         align_corners: Upsample with the corners' centres aligned, as PyTorch did before version
             0.4; otherwise with half-pixel centres.
     """
@@ -53,10 +56,9 @@ class SoftArgmax(nn.Module):
         return self._estimate(self._upsample(scores, (self.scale,) * 3), "mean")
 
     def confidence(self, scores: Tensor) -> Tensor:
-        """Probability that the disparity is within 2 px of the estimate.
+        """Probability that the disparity is within 2 px of the estimate (not in the paper).
 
-        Computed at the scores' resolution and upsampled: that sorts errors as well as at full
-        resolution, and costs a sixteenth.
+        Computed at the resolution of the scores and upsampled, with half-pixel centres.
 
         Args:
             scores: (B, D, H, W).
@@ -66,7 +68,7 @@ class SoftArgmax(nn.Module):
         """
         scores = self._upsample(scores, (self.scale, 1, 1))
         disparity = self._estimate(scores, self.estimator).unsqueeze(1)
-        distance = (_bins(scores) - disparity).abs()
+        distance = (_disparities(scores) - disparity).abs()
         within = (CONFIDENCE_RADIUS_PX + 0.5 - distance).clamp(0, 1)
         confidence = (scores.softmax(dim=1) * within).sum(dim=1, keepdim=True)
         return F.interpolate(confidence, scale_factor=self.scale, mode="bilinear").squeeze(1)
@@ -84,7 +86,7 @@ class SoftArgmax(nn.Module):
         if estimator == "mode":
             probability = probability * self._dominant_mode(probability)
             probability = probability / probability.sum(dim=1, keepdim=True)
-        return (probability * _bins(scores)).sum(dim=1)
+        return (probability * _disparities(scores)).sum(dim=1)
 
     @torch.no_grad()
     def _dominant_mode(self, probability: Tensor) -> Tensor:
@@ -101,7 +103,7 @@ def dominant_mode(intervals: Tensor) -> Tensor:
     """The most likely three neighbouring intervals: 1 there, 0 elsewhere.
 
     Of neighbourhoods that are exactly as likely it takes all, and everything where none holds
-    `MIN_MODE_PROBABILITY`. Plain operators only.
+    `MIN_MODE_PROBABILITY`.
 
     Args:
         intervals: Probability, or anything proportional to it, of each interval: (B, N, H, W).
@@ -117,6 +119,6 @@ def dominant_mode(intervals: Tensor) -> Tensor:
     return torch.maximum(keep, spread.to(intervals.dtype))
 
 
-def _bins(scores: Tensor) -> Tensor:
+def _disparities(scores: Tensor) -> Tensor:
     """Disparities 0 .. D - 1 of scores (B, D, H, W): (D, 1, 1)."""
     return torch.arange(scores.shape[1], dtype=scores.dtype, device=scores.device)[:, None, None]
