@@ -181,8 +181,7 @@ def _ablations() -> dict[str, NetConfig]:
 _PAPER = "Shamsafar et al., MobileStereoNet, WACV 2022"
 _RELEASE: dict[str, Any] = {
     "paper": _PAPER,
-    "licence": "Apache-2.0 (code; SceneFlow's and KITTI's own terms apply to what was trained "
-    "on them)",
+    "licence": "see the authors' repository; SceneFlow's and KITTI's terms apply to the weights",
     "checkpoints": "cogsys-tuebingen/mobilestereonet on GitHub",
     "trained_on": "SceneFlow finalpass; that and KITTI 2015",
 }
