@@ -6,8 +6,8 @@
 Ours is the step of `msnet train` under the recipe ``procedural``: all disparities in one batch, the
 head in closed form, bfloat16 autocast, channels last; once with the paper's loss on four heads and
 the paper's optimizer.
-The authors' is `PlainNet`: a loop over 48 cropped pairs, one view after the other, four heads
-upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a process of its
+The authors' is the network of ``nets/``: a loop over 48 cropped pairs, one view after the other,
+four heads upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a process of its
 own, whose largest resident size is the peak memory; on a GPU it is what PyTorch allocates there,
 and its settings are PyTorch's own: float32 convolutions in TF32.
 """
@@ -33,15 +33,13 @@ from rich.console import Console
 from rich.table import Table
 from torch.utils.data import DataLoader
 
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.nets import create_model
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets import build_model, trained_pixels
 from mobilestereonet.training.batches import TrainingBatch
-from mobilestereonet.training.losses import smooth_l1_sum, trained_pixels
 from mobilestereonet.training.memory import keep_freed_memory
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import get_recipe
-from plain import PlainNet
 
 VARIANTS = {
     "authors": "authors' formulation, float32",
@@ -69,13 +67,13 @@ def authors_steps(model: str, pairs: StereoSample, device: str) -> Iterator[floa
     """Seconds of step after step in the authors' formulation."""
     check(model)
     pairs = pairs.to(device)
-    plain = PlainNet(create_model(model)).train().to(device)
+    plain = build_model(model).train().to(device)
     optimizer = torch.optim.Adam(plain.parameters(), lr=1e-3, betas=(0.9, 0.999))
+    views = [plain.preprocessing(view) for view in (pairs.left, pairs.right)]
+    mask = trained_pixels(pairs.disparity, pairs.valid, plain.max_disparity)
     while True:
         started = now(device)
-        predictions = plain(normalise(pairs.left), normalise(pairs.right))
-        mask = trained_pixels(pairs.disparity, pairs.valid, 192)
-        loss = smooth_l1_sum(predictions, pairs.disparity, mask) / mask.sum()
+        loss = plain.training_loss(plain(*views), pairs.disparity, mask)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -84,11 +82,11 @@ def authors_steps(model: str, pairs: StereoSample, device: str) -> Iterator[floa
 
 def check(model: str) -> None:
     """Both formulations are the same function in eval mode."""
-    net = create_model(model, max_disparity=32).double().eval()
+    net = build_model(model, max_disparity=32).double().eval()
     generator = torch.Generator().manual_seed(0)
     views = torch.randn(2, 1, 3, 32, 64, dtype=torch.float64, generator=generator).unbind()
     with torch.no_grad():
-        torch.testing.assert_close(PlainNet(net).eval()(*views), net(*views))
+        torch.testing.assert_close(accelerate(net, "training").eval()(*views), net(*views))
 
 
 class Clock(L.Callback):
@@ -113,9 +111,8 @@ def our_steps(
     """Seconds of each of ``steps`` steps of `msnet train`, guard and logging included."""
     recipe = replace(get_recipe("procedural"), model=model, batch_size=len(pairs.left))
     if paper_loss:
-        recipe = replace(
-            recipe, full_heads=4, cross_entropy=0.0, volume_cross_entropy=0.0, optimizer="adam"
-        )
+        recipe = replace(get_recipe("procedural-plain"), model=model, optimizer="adam")
+        recipe = replace(recipe, batch_size=len(pairs.left))
     keep_freed_memory()
     clock = Clock(device)
     trainer = L.Trainer(

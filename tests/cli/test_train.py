@@ -8,11 +8,11 @@ import pytest
     [
         (["train", "RUN", "--set", "colour=red"], "no value 'colour'"),
         (["train", "RUN", "--set", "lr"], "'lr': write it as key=value"),
-        (["train", "RUN", "--set", "lr=fast"], "lr must be float"),
+        (["train", "RUN", "--set", "lr=fast"], "lr must be a number, got 'fast'"),
         (["train", "RUN", "--recipe", "fast"], "unknown recipe"),
         (["train", "RUN", "--recipe", "paper-kitti2015"], "--root DIR"),
         (["train", "RUN", "--set", "model=msnet4d"], "unknown model"),
-        (["train", "RUN", "--set", "max_disparity=100"], "multiple of 16"),
+        (["train", "RUN", "--set", "net.max_disparity=100"], "multiple of 16"),
         (["train", "RUN", "--weights", "RUN/none.safetensors"], "none.safetensors"),
         (["train", "RUN", "--textures", "RUN/none"], "no folder RUN/none"),
         (["train", "RUN", "--resume"], "RUN holds no run: there is no recipe.json"),

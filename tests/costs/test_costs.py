@@ -263,9 +263,9 @@ def test_command_prints_tables(tmp_path):
     ("arguments", "message"),
     [
         (("nonet",), "nonet"),
-        (("msnet2d", "--set", "colour=1"), "colour=1: fields are dims"),
-        (("msnet2d", "--set", "width=wide"), "width is a whole number"),
-        (("msnet2d", "--set", "v2_skip=2"), "v2_skip is true or false"),
+        (("msnet2d", "--set", "colour=1"), "model msnet2d has no value 'colour', only dims"),
+        (("msnet2d", "--set", "width=wide"), "width must be a whole number, got 'wide'"),
+        (("msnet2d", "--set", "v2_skip=2"), "v2_skip must be true or false, got 2"),
         (("msnet2d", "--set", "features=v3"), "features must be one of conv, v1, v2"),
         (("--height", 100), "got 100"),
         (("--plot", "curve.png"), "--paper"),

@@ -570,9 +570,9 @@ def test_registry(tmp_path):
     with pytest.raises(InputError, match="kitti2015 has no option 'size', only split, strict"):
         open_data_set("kitti2015", tmp_path, size=3)
     for name, options, word in (
-        ("folder", {"scale": "four"}, r"folder: scale must be float \| None, got 'four'"),
+        ("folder", {"scale": "four"}, "folder: scale must be a number or null, got 'four'"),
         ("folder", {"scale": True}, "scale must be"),
-        ("folder", {"disparity": 7}, r"disparity must be str \| None, got 7"),
+        ("folder", {"disparity": 7}, "disparity must be text or null, got 7"),
         ("kitti2012", {"grey": "no"}, "kitti2012: grey must be true or false, got 'no'"),
         ("kitti2012", {"grey": 1}, "grey must be true or false"),
     ):

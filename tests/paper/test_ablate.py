@@ -13,14 +13,15 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.paper import ablate as module
 from mobilestereonet.paper.ablate import ablate, ablation_table, table_models
 from mobilestereonet.scenes import SceneConfig
+from mobilestereonet.training.data import RunData
 from mobilestereonet.training.recipe import Recipe, get_recipe, override
-from mobilestereonet.training.run import RunData
+from mobilestereonet.training.run import train
 from mobilestereonet.weights import load_model
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 MODELS = ["table3a-v1-v1", "table3a-v1-v2"]
 RECIPE = Recipe(
-    max_disparity=32,
+    net={"max_disparity": 32},
     scenes=SceneConfig(
         height=48, width=64, max_disparity=20, min_disparity=4, noise_textures=16, texture_size=32
     ),
@@ -73,7 +74,7 @@ def test_two_networks(tmp_path, monkeypatch):
             std = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
             views = [((view - mean) / std)[None] for view in (scene.left, scene.right)]
             with torch.no_grad():
-                disparity = net(*views)[0]
+                disparity = net(*views).disparity[0]
             mask = scene.valid & (scene.disparity > 0) & (scene.disparity < 32)
             errors.append((disparity - scene.disparity).abs()[mask].mean().item())
         assert row.figures["EPE"] == pytest.approx(sum(errors) / 2, rel=1e-4)
@@ -92,9 +93,27 @@ def test_two_networks(tmp_path, monkeypatch):
         next(ablate(MODELS, RECIPE, tmp_path, **options))
 
 
+def test_scenes_rendered_on_a_gpu_are_scored_on_the_cpu(tmp_path):
+    scenes = RunData(RECIPE, 0).validation("cpu")
+
+    class OnGpu:
+        """A sample that only a copy to the CPU makes one."""
+
+        def __init__(self, index):
+            self.index = index
+
+        def map(self, function):
+            assert function is torch.Tensor.cpu
+            return scenes[self.index]
+
+    train(replace(RECIPE, model=MODELS[0]), tmp_path, accelerator="cpu", progress=False)
+    row = module._score(replace(RECIPE, model=MODELS[0]), tmp_path, [OnGpu(0), OnGpu(1)], "cpu")
+    assert row.pairs == 2 and row.figures["EPE"] > 0
+
+
 def test_the_command(tmp_path, monkeypatch, capsys):
     values = {
-        "max_disparity": 32,
+        "net.max_disparity": 32,
         "val_scenes": 1,
         "batch_size": 1,
         "augment.height": 32,

@@ -71,6 +71,26 @@ def test_every_epoch_has_an_order_of_its_own():
     assert batch.disparity.amax((1, 2)).round().tolist() != [1, 1, 1]
 
 
+def test_one_permutation_per_pass_over_the_data_set(monkeypatch):
+    """In the order that runs have always had."""
+    made = []
+
+    class Counted(np.random.Generator):
+        def permutation(self, length):
+            made.append(length)
+            return super().permutation(length)
+
+    monkeypatch.setattr(np.random, "Generator", Counted)
+    pairs = _pairs(Numbers(), seed=41)
+    found = [pairs._index(position) for position in (0, 1, 2, 3, 4, 5, 4, 6, 3, 7, 8, 9)]
+    assert made == [5, 5]
+    expected = [
+        int(np.random.Generator(np.random.Philox(key=[41 | 1 << 33, epoch])).permutation(5)[place])
+        for epoch, place in (divmod(p, 5) for p in (0, 1, 2, 3, 4, 5, 4, 6, 3, 7, 8, 9))
+    ]
+    assert found == expected
+
+
 def test_two_epochs_see_a_pair_differently():
     pairs = _pairs(Numbers())
     names = [pairs.__getitems__([position]).augmented.name for position in range(10)]

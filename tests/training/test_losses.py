@@ -3,37 +3,7 @@ import math
 import pytest
 import torch
 
-from mobilestereonet.training.losses import (
-    cross_entropy_sum,
-    smooth_l1_sum,
-    trained_pixels,
-)
-
-
-def test_trained_pixels():
-    disparity = torch.tensor([[0.0, 0.5, 191.9, 192.0, 5.0]])
-    valid = torch.tensor([[True, True, True, True, False]])
-    assert trained_pixels(disparity, valid, 192).tolist() == [[False, True, True, False, False]]
-
-
-def test_smooth_l1_by_hand():
-    target = torch.tensor([[[10.0, 20.0, 30.0, 40.0]]])
-    mask = torch.tensor([[[True, True, True, False]]])
-    # Errors 0.5, 3 and 0: 0.5 * 0.5^2, 3 - 0.5 and 0. The last pixel does not count.
-    prediction = torch.tensor([[[10.5, 17.0, 30.0, 99.0]]])
-    assert smooth_l1_sum([prediction], target, mask).item() == pytest.approx(2.625)
-    exact = target.clone()
-    weighted = [
-        ([prediction, exact, exact, exact], 0.5),
-        ([exact, prediction, exact, exact], 0.5),
-        ([exact, exact, prediction, exact], 0.7),
-        ([exact, exact, exact, prediction], 1.0),
-        ([exact, prediction], 1.0),
-        ([prediction, exact], 0.7),
-        ([prediction, exact, exact, exact, exact], 0.5),
-    ]
-    for heads, weight in weighted:
-        assert smooth_l1_sum(heads, target, mask).item() == pytest.approx(2.625 * weight)
+from mobilestereonet.training.losses import cross_entropy_sum
 
 
 def _coarse(value: float, mask: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
@@ -55,7 +25,7 @@ def test_cross_entropy_by_hand():
         (11.0, (0, 0, 1)),
     ]:
         expected = -16 * sum(share * log for share, log in zip(shares, log_p, strict=True))
-        loss = cross_entropy_sum([scores], *_coarse(disparity))
+        loss = cross_entropy_sum([scores], [1.0], *_coarse(disparity))
         assert loss.item() == pytest.approx(expected, rel=1e-5), disparity
 
 
@@ -63,38 +33,43 @@ def test_cross_entropy_looks_at_every_fourth_pixel():
     scores = torch.randn(2, 8, 2, 3)
     target, mask = torch.rand(2, 8, 12) * 30, torch.zeros(2, 8, 12, dtype=torch.bool)
     mask[0, 6, 10] = True
-    one = cross_entropy_sum([scores], target, mask)
-    alone = cross_entropy_sum([scores[:1, :, 1:, 2:]], *_coarse(float(target[0, 6, 10])))
+    one = cross_entropy_sum([scores], [1.0], target, mask)
+    alone = cross_entropy_sum([scores[:1, :, 1:, 2:]], [1.0], *_coarse(float(target[0, 6, 10])))
     assert one.item() == pytest.approx(alone.item(), rel=1e-5)
     mask[0, 6, 10], mask[0, 7, 10] = False, True
-    assert cross_entropy_sum([scores], target, mask) == 0
+    assert cross_entropy_sum([scores], [1.0], target, mask) == 0
+
+
+def test_other_scales_sample_the_middle_of_their_pixels():
+    """Scores at an eighth: plane k is the fine disparities 8 k .. 8 k + 7, centre 8 k + 3.5."""
+    scores = torch.tensor([1.0, 2.0]).view(1, 2, 1, 1)
+    target = torch.zeros(1, 8, 8)
+    target[0, 4, 4] = 8 + 3.5
+    loss = cross_entropy_sum([scores], [0.5], target, target > 0, scale=8)
+    expected = -0.5 * 64 * torch.log_softmax(scores.flatten(), dim=0)[1]
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_sums_add_up_over_batches_and_heads():
     scores = [torch.randn(3, 8, 4, 4) for _ in range(2)]
     target = torch.rand(3, 16, 16) * 30
     mask = torch.rand(3, 16, 16) > 0.3
-    for loss, heads in (
-        (cross_entropy_sum, scores),
-        (smooth_l1_sum, [torch.rand(3, 16, 16) * 30 for _ in range(2)]),
-    ):
-        whole = loss(heads, target, mask)
-        parts = [
-            loss([head[i : i + 1] for head in heads], target[i : i + 1], mask[i : i + 1])
-            for i in range(3)
-        ]
-        assert whole.item() == pytest.approx(sum(part.item() for part in parts), rel=1e-5)
-        single = 0.7 * loss([heads[0]], target, mask) + loss([heads[1]], target, mask)
-        assert whole.item() == pytest.approx(single.item(), rel=1e-5)
+    weights = [0.7, 1.0]
+    whole = cross_entropy_sum(scores, weights, target, mask)
+    parts = [
+        cross_entropy_sum(
+            [head[i : i + 1] for head in scores], weights, target[i : i + 1], mask[i : i + 1]
+        )
+        for i in range(3)
+    ]
+    assert whole.item() == pytest.approx(sum(part.item() for part in parts), rel=1e-5)
+    single = [cross_entropy_sum([head], [1.0], target, mask) for head in scores]
+    assert whole.item() == pytest.approx((0.7 * single[0] + single[1]).item(), rel=1e-5)
 
 
 def test_masked_pixels_have_no_gradient():
     scores = torch.randn(1, 8, 2, 2, requires_grad=True)
-    prediction = torch.rand(1, 8, 8, requires_grad=True)
     target, mask = torch.rand(1, 8, 8) * 30, torch.ones(1, 8, 8, dtype=torch.bool)
     mask[:, :, :4] = False
-    (
-        cross_entropy_sum([scores], target, mask) + smooth_l1_sum([prediction], target, mask)
-    ).backward()
+    cross_entropy_sum([scores], [1.0], target, mask).backward()
     assert scores.grad[..., 0].abs().max() == 0 and scores.grad[..., 1].abs().min() > 0
-    assert prediction.grad[..., :4].abs().max() == 0 and prediction.grad[..., 4:].abs().min() > 0

@@ -5,17 +5,23 @@ import lightning as L
 import pytest
 import torch
 from lightning.pytorch.plugins.precision import MixedPrecision
-from short_run import fit
 
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
-from mobilestereonet.training.recipe import Recipe
+from mobilestereonet.training.objective import volume_loss_sum
+from mobilestereonet.training.recipe import Recipe, override
+from short_run import fit
 
 RECIPE = Recipe(
-    model="table3a-v1-v1", max_disparity=32, steps=10, full_heads=2, cross_entropy=1.0, clip=1.0
+    model="table3a-v1-v1",
+    net={"max_disparity": 32},
+    steps=10,
+    full_heads=2,
+    cross_entropy=1.0,
+    clip=1.0,
 )
 
 
@@ -157,7 +163,7 @@ def test_one_step_in_four_is_without_guidance():
         def on_before_optimizer_step(self, trainer, pl_module, optimizer) -> None:
             guided.append(bool(pl_module.net.guide.weight.grad.any()))
 
-    recipe = replace(RECIPE, model="table3b-v1-v2", coarse_pass=True)
+    recipe = override(RECIPE, {"model": "table3b-v1-v2", "net.coarse_pass": True})
     generator = torch.Generator().manual_seed(0)
     left, right = torch.rand(2, 1, 3, 32, 64, generator=generator)
     truth = torch.full((1, 32, 64), 9.0)
@@ -177,8 +183,8 @@ def test_data_without_ground_truth():
 def test_volume_loss_by_hand():
     """Plane k of a volume compares columns at disparity 4 k."""
     volume = torch.tensor([0.5, 2.0, 1.0]).view(1, 1, 3, 1, 1)
-    module, mask = StereoModule(RECIPE, 10, 8), torch.ones(1, 4, 4, dtype=torch.bool)
+    mask = torch.ones(1, 4, 4, dtype=torch.bool)
     log_p = torch.log_softmax(4 * volume.flatten(), dim=0)
     for disparity, expected in ((4.0, log_p[1]), (6.0, (log_p[1] + log_p[2]) / 2)):
-        loss = module._volume_loss(volume, torch.full((1, 4, 4), disparity), mask)
+        loss = volume_loss_sum(volume, torch.full((1, 4, 4), disparity), mask)
         assert loss.item() == pytest.approx(-16 * expected.item(), rel=1e-5)

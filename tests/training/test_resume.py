@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors.torch import load_file
-from short_run import save_teacher
 
 from mobilestereonet.data import write_pfm, write_png
+from short_run import save_teacher
 
 STEPS = 14
 VALUES = {
     "model": "table3a-v1-v1",
-    "max_disparity": 32,
+    "net.max_disparity": 32,
     "scenes.height": 80,
     "scenes.width": 128,
     "scenes.max_disparity": 24,

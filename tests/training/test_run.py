@@ -1,4 +1,6 @@
 import csv
+import logging
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,17 +12,18 @@ from safetensors.torch import load_file
 from mobilestereonet.data import write_pfm, write_png
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import create_model
+from mobilestereonet.nets import build_model
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
-from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.training.run import RunData, train
+from mobilestereonet.training.data import RunData
+from mobilestereonet.training.recipe import Recipe, override, read_recipe
+from mobilestereonet.training.run import train
 from mobilestereonet.weights import load_model, save_weights
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 RECIPE = Recipe(
     model="table3a-v1-v1",
-    max_disparity=32,
+    net={"max_disparity": 32},
     scenes=SceneConfig(
         height=48, width=64, max_disparity=20, min_disparity=4, noise_textures=16, texture_size=32
     ),
@@ -52,6 +55,7 @@ def test_a_run_and_its_folder(tmp_path, monkeypatch):
     saved = load_model(folder / "weights.safetensors").state_dict()
     for name, value in module.net.named_parameters():
         assert torch.equal(saved[name], value.half().float()), name
+
     of_checkpoint = load_model(folder / "last.ckpt")
     assert of_checkpoint.config == load_model(folder).config
     for name, value in of_checkpoint.named_parameters():
@@ -91,16 +95,17 @@ def test_pairs_without_ground_truth_are_refused_before_the_first_step(tmp_path):
 def test_initial_weights(tmp_path):
     initial = tmp_path / "initial.safetensors"
     torch.manual_seed(99)
-    save_weights(create_model(RECIPE.model, max_disparity=32), initial, dtype=torch.float32)
+    save_weights(build_model(RECIPE.model, max_disparity=32), initial, dtype=torch.float32)
     before = load_file(initial)
     recipe = replace(RECIPE, steps=1, lr=1e-9, ema=0.0, weights=str(initial))
     after = _train(tmp_path / "run", recipe).net.state_dict()
     for name in ("features.first.0.0.weight", "heads.1.score.weight"):
         assert torch.allclose(after[name], before[name], atol=1e-7)
-    with pytest.raises(InputError, match=r"does not fit .*v1-v1: max_disparity 32, not 64$"):
-        _train(tmp_path / "other", replace(recipe, max_disparity=64))
+    with pytest.raises(InputError, match=r"it holds table3a-v1-v1; add --set net.max_disparity=32$"):
+        _train(tmp_path / "other", override(recipe, {"net.max_disparity": 64}))
     with pytest.raises(
-        InputError, match=r"does not fit .*v1-v1: it holds msnet2d; add --set model=msnet2d$"
+        InputError,
+        match=r"v1-v1: it holds msnet2d; add --set model=msnet2d --set net.max_disparity=192",
     ):
         _train(tmp_path / "other", replace(recipe, weights="msnet2d"))
     assert not (tmp_path / "other").exists()
@@ -108,13 +113,13 @@ def test_initial_weights(tmp_path):
 
 def test_a_coarse_pass_starts_from_weights_without_one(tmp_path):
     initial = tmp_path / "initial.safetensors"
-    save_weights(create_model("table3b-v1-v2", max_disparity=32), initial)
+    save_weights(build_model("table3b-v1-v2", max_disparity=32), initial)
     crop = AugmentConfig(height=32, width=64)
     recipe = replace(RECIPE, model="table3b-v1-v2", weights=str(initial), steps=1, augment=crop)
-    _train(tmp_path / "coarse", replace(recipe, coarse_pass=True))
+    _train(tmp_path / "coarse", override(recipe, {"net.coarse_pass": True}))
     coarse = str(tmp_path / "coarse/weights.safetensors")
     assert load_model(coarse).config.coarse_pass
-    with pytest.raises(InputError, match=r"add --set model=table3b-v1-v2 --set coarse_pass=true$"):
+    with pytest.raises(InputError, match="holds table3b-v1-v2; add --set net.coarse_pass=true$"):
         _train(tmp_path / "plain", replace(recipe, weights=coarse))
 
 
@@ -217,6 +222,43 @@ def test_a_recipe_finds_its_files_from_any_folder(tmp_path, monkeypatch):
     here = str(tmp_path)
     paths = (recipe.root, recipe.textures, recipe.weights, recipe.teacher)
     assert paths == (f"{here}/pairs", "/photographs", f"{here}/a.safetensors", "msnet2d")
+
+
+def test_logging_and_warnings_are_as_they_were(tmp_path):
+    logger = logging.getLogger("lightning.pytorch.utilities.rank_zero")
+    before = (list(logger.filters), logger.level, list(warnings.filters))
+    _train(tmp_path, replace(RECIPE, steps=1))
+    with pytest.raises(InputError, match="Precision 'fp99'"):
+        _train(tmp_path / "other", precision="fp99")
+    assert (list(logger.filters), logger.level, list(warnings.filters)) == before
+
+
+class Malicious:
+    """A pickle that touches a file when it is read."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (type(self.path).touch, (self.path,))
+
+
+@pytest.mark.parametrize("kind", ["code", "damaged"])
+def test_a_foreign_checkpoint_runs_no_code(kind, tmp_path):
+    folder, touched = tmp_path / "run", tmp_path / "touched"
+    _train(folder, replace(RECIPE, steps=1))
+    checkpoint = torch.load(folder / "last.ckpt", weights_only=True)
+    if kind == "code":
+        checkpoint["callbacks"]["extra"] = Malicious(touched)
+        torch.save(checkpoint, folder / "last.ckpt")
+    else:
+        (folder / "last.ckpt").write_bytes(b"PK" + bytes(100))
+    with pytest.raises(InputError, match=r"last\.ckpt: not a checkpoint of `msnet train`"):
+        _train(folder, resume=True)
+    assert not touched.exists()
+    if kind == "code":
+        torch.load(folder / "last.ckpt", weights_only=False)
+        assert touched.exists()  # it would have
 
 
 def test_time_limit_starts_anew():

@@ -4,7 +4,7 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
-from mobilestereonet.nets.normalise import normalise
+from mobilestereonet.nets import IMAGENET
 from torch.utils.data import Dataset
 
 from mobilestereonet import InputError, create_model
@@ -21,7 +21,12 @@ from mobilestereonet.training.teacher import Teacher
 from short_run import fit, save_teacher
 
 RECIPE = Recipe(
-    model="table3a-v1-v1", max_disparity=32, steps=3, full_heads=1, cross_entropy=5.0, clip=1.0
+    model="table3a-v1-v1",
+    net={"max_disparity": 32},
+    steps=3,
+    full_heads=1,
+    cross_entropy=5.0,
+    clip=1.0,
 )
 
 
@@ -53,10 +58,10 @@ def step(recipe, batch):
 
 def test_what_it_says_is_what_its_network_says(weights):
     views = pair()
-    teacher = Teacher(str(weights), create_model(RECIPE.model, max_disparity=32).config)
+    teacher = Teacher(str(weights), create_model(RECIPE.model, max_disparity=32))
     scores, disparity, confidence = teacher(views)
     with torch.no_grad():
-        expected = teacher.net(normalise(views.left), normalise(views.right))
+        expected = teacher.net(IMAGENET(views.left), IMAGENET(views.right)).disparity
     assert scores.shape == (1, 8, 8, 12)
     assert (disparity - expected).abs().mean() < 0.3  # bfloat16 where the processor has it
     assert 0 <= confidence.min() < confidence.max() <= 1
@@ -65,15 +70,15 @@ def test_what_it_says_is_what_its_network_says(weights):
 
 def test_another_range_of_disparities_is_refused(weights):
     with pytest.raises(InputError, match="searches 32 disparities, the network in training 192"):
-        Teacher(str(weights), create_model("msnet2d").config)
+        Teacher(str(weights), create_model("msnet2d"))
 
 
 def test_what_is_no_weights_is_named():
     message = r"teacher no\.pth: neither embedded weights .*msnet2d.* nor a weights file"
     with pytest.raises(FileNotFoundError, match=message):
-        Teacher("no.pth", create_model("msnet2d").config)
+        Teacher("no.pth", create_model("msnet2d"))
     with pytest.raises(InputError, match="unknown model 'msnet2D': did you mean msnet2d"):
-        Teacher("msnet2D", create_model("msnet2d").config)
+        Teacher("msnet2D", create_model("msnet2d"))
     with pytest.raises(InputError, match=r"a teacher needs cross_entropy > 0, .* got 0\.0"):
         Recipe(steps=1, teacher="msnet2d")
 
@@ -110,7 +115,7 @@ def test_loss_of_an_equal_is_zero_and_far_disparities_count_by_distribution_only
     def loss(student, student_disparity):
         return float(
             distillation_sum(
-                [student], student_disparity, scores, disparity, weight, cross_entropy=2.0
+                [student], [1.0], student_disparity, scores, disparity, weight, cross_entropy=2.0
             )
         )
 

@@ -48,9 +48,9 @@ def ablate(
     """
     from rich.console import Console
 
-    from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models
+    from mobilestereonet.settings import parse_assignments
     from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import get_recipe, override
 

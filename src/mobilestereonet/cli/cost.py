@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -49,33 +49,12 @@ def cost(
         _print_model(model or "msnet2d", settings or [], height, width, as_json)
 
 
-def _overrides(model: str, settings: list[str]) -> dict[str, Any]:
-    """Fields and values of FIELD=VALUE, each value of the type that the field has now."""
-    from mobilestereonet.nets import model_config
-
-    config = vars(model_config(model))
-    overrides: dict[str, Any] = {}
-    for setting in settings:
-        field, _, text = setting.partition("=")
-        if field not in config:
-            raise InputError(f"--set {setting}: fields are {', '.join(config)}")
-        current = config[field]
-        try:
-            if isinstance(current, bool):
-                overrides[field] = {"true": True, "false": False}[text.lower()]
-            else:
-                overrides[field] = type(current)(text)
-        except (KeyError, ValueError):
-            kind = "true or false" if isinstance(current, bool) else "a whole number"
-            raise InputError(f"--set {setting}: {field} is {kind}") from None
-    return overrides
-
-
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
     from mobilestereonet.costs.count import count_costs
     from mobilestereonet.nets import model_config
+    from mobilestereonet.settings import override, parse_assignments
 
-    config = model_config(model, **_overrides(model, settings))
+    config = override(model_config(model), parse_assignments(settings), f"model {model}")
     modules = count_costs(config, height, width)
     if as_json:
         facts = {"model": model, "config": asdict(config), "height": height, "width": width}

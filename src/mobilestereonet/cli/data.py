@@ -32,18 +32,18 @@ def preview(
     """Draw a contact sheet: left, right, disparity and occlusion of some pairs."""
     import numpy as np
 
-    from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.data import open_data_set
     from mobilestereonet.data.files import write_png
     from mobilestereonet.errors import InputError
     from mobilestereonet.plots import contact_sheet
     from mobilestereonet.scenes import ProceduralScenes
-    from mobilestereonet.training.recipe import get_recipe, override
+    from mobilestereonet.settings import override, parse_assignments
+    from mobilestereonet.training.recipe import get_recipe
 
     options = parse_assignments(assignments or [])
     if name == "procedural":
-        values = {f"scenes.{key}": value for key, value in {"seed": seed, **options}.items()}
-        config = override(get_recipe("procedural"), values).scenes
+        scenes_of_the_recipe = get_recipe("procedural").scenes
+        config = override(scenes_of_the_recipe, {"seed": seed, **options}, "scenes")
         scenes = ProceduralScenes(config, textures=textures)
         samples = (scenes[index] for index in range(count))
     elif root is None:

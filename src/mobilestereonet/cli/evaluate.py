@@ -60,7 +60,6 @@ def evaluate(
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder, refuse_folder
-    from mobilestereonet.cli.assignments import parse_assignments
     from mobilestereonet.cli.engine import engine_options
     from mobilestereonet.data import open_data_set
     from mobilestereonet.errors import InputError
@@ -71,6 +70,7 @@ def evaluate(
     )
     from mobilestereonet.evaluation import evaluate as run
     from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.settings import parse_assignments
 
     models: list[str | None] = [*model] if model else [None]
     if weights is not None and len(models) > 1:

@@ -19,16 +19,23 @@ from mobilestereonet.cli.training_options import (
 
 def train(
     folder: Annotated[Path, typer.Argument(help="Folder of the run: checkpoints, logs, weights.")],
+    model: Annotated[
+        str | None,
+        typer.Option(help="Network to train: a name of `msnet models`, or my_net.py:MyNet."),
+    ] = None,
     recipe: Annotated[
         str | None,
-        typer.Option(help="procedural, paper-sceneflow or paper-kitti2015. [default: procedural]"),
+        typer.Option(
+            help="procedural, procedural-plain, paper-sceneflow or paper-kitti2015. [default: "
+            "procedural; procedural-plain for a network that lacks what that needs]"
+        ),
     ] = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
-            help="Override a value of the recipe, such as lr=5e-4, model=msnet3d, "
-            "augment.noise=0.02 or scenes.seed=7. Repeat for more.",
+            help="Override a value of the recipe, such as lr=5e-4, augment.noise=0.02, "
+            "scenes.seed=7 or net.cost_volume=correlation. Repeat for more.",
         ),
     ] = None,
     root: Root = None,
@@ -64,16 +71,20 @@ def train(
     Without a data set it trains on procedural scenes, which need no download. Ctrl-C ends the run
     after its current step, with a checkpoint.
     """
-    from mobilestereonet.cli.assignments import parse_assignments
+    from mobilestereonet.settings import parse_assignments
     from mobilestereonet.training.memory import keep_freed_memory
-    from mobilestereonet.training.recipe import get_recipe, override, read_recipe
+    from mobilestereonet.training.recipe import default_recipe, get_recipe, override, read_recipe
     from mobilestereonet.training.run import train as run
 
+    values = parse_assignments(assignments or [])
+    if model is not None:
+        values["model"] = model
     if resume and recipe is None:
         chosen = read_recipe(folder / "recipe.json")
+    elif recipe is not None:
+        chosen = get_recipe(recipe)
     else:
-        chosen = get_recipe(recipe or "procedural")
-    values = parse_assignments(assignments or [])
+        chosen = default_recipe(str(values.get("model", "msnet2d")))
     paths = {"root": root, "textures": textures, "weights": weights}
     values |= {name: str(path) for name, path in paths.items() if path is not None}
     keep_freed_memory()

@@ -10,12 +10,13 @@ import fnmatch
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.settings import override
 
 Network = TypeVar("Network", bound=type[StereoModel])
 
@@ -108,6 +109,19 @@ def model_info(name: str) -> ModelInfo:
 
 
 def _import_network(path: Path, attribute: str) -> type[StereoModel]:
+    network = import_from_file(path, attribute)
+    if not (isinstance(network, type) and issubclass(network, StereoModel)):
+        raise InputError(f"{path}: {attribute} is no subclass of mobilestereonet.StereoModel")
+    return network
+
+
+def import_from_file(path: Path, attribute: str) -> Any:
+    """An attribute of a Python file of the user's own, which is run; None if it has none such.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If it cannot be imported.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file to import {attribute} from")
     module_name = f"mobilestereonet_user_{path.stem}"
@@ -119,10 +133,7 @@ def _import_network(path: Path, attribute: str) -> type[StereoModel]:
         spec.loader.exec_module(module)
     except Exception as error:
         raise InputError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
-    network = getattr(module, attribute, None)
-    if not (isinstance(network, type) and issubclass(network, StereoModel)):
-        raise InputError(f"{path}: {attribute} is no subclass of mobilestereonet.StereoModel")
-    return network
+    return getattr(module, attribute, None)
 
 
 def model_config(name: str, **overrides: Any) -> Any:
@@ -136,14 +147,7 @@ def model_config(name: str, **overrides: Any) -> Any:
         FileNotFoundError: See `model_info`.
         InputError: If the name or a field is unknown, or a value is refused.
     """
-    config = model_info(name).config
-    names = [part.name for part in fields(config)]
-    for key in overrides:
-        if key not in names:
-            near = difflib.get_close_matches(key, names, n=1)
-            hint = f" (did you mean {near[0]}?)" if near else ""
-            raise InputError(f"model {name} has no value {key!r}{hint}, only {', '.join(names)}")
-    return replace(config, **overrides)
+    return override(model_info(name).config, overrides, f"model {name}")
 
 
 def build_model(name: str, **overrides: Any) -> StereoModel:

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from rich.table import Table
+from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.errors import InputError
@@ -17,8 +18,9 @@ from mobilestereonet.evaluation import EvaluationProtocol, evaluate
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import list_models, model_config
 from mobilestereonet.paper.tables import paper_tables
+from mobilestereonet.training.data import RunData
 from mobilestereonet.training.recipe import Recipe, read_recipe
-from mobilestereonet.training.run import RunData, train
+from mobilestereonet.training.run import train
 
 TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")
 """The paper's ablations, by what `table_models` takes."""
@@ -87,7 +89,7 @@ def ablate(
             holds a run under another recipe.
     """
     for model in models:
-        model_config(model)  # a wrong name is told now, not after the runs before it
+        model_config(model, **recipe.net)  # what is wrong is told now, not after some runs
     if recipe.weights is not None:
         raise InputError(
             f"an ablation starts from fresh weights, not from {recipe.weights}: leave weights out"
@@ -95,7 +97,8 @@ def ablate(
     recipe = recipe.with_absolute_paths()
     rows: list[AblationRow] = []
     for model in models:
-        own, run = replace(recipe, model=model), folder / model
+        own = replace(recipe, model=model).with_absolute_paths()
+        run = folder / Path(model).name.replace(":", ".")  # the user's own have a folder
         if (run / "recipe.json").is_file():
             before = read_recipe(run / "recipe.json").with_absolute_paths()
             if changed := before.changes(own):
@@ -137,18 +140,20 @@ def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
         device=device,
         precision="fp32",
     )
+    max_disparity = model_config(recipe.model, **recipe.net).max_disparity
     result = evaluate(
         matcher.disparity,
-        (pairs[index] for index in range(len(pairs))),
+        # Scenes may have been rendered on a GPU; scores are taken on the CPU.
+        (pairs[index].map(Tensor.cpu) for index in range(len(pairs))),
         model=recipe.model,
         data_name=recipe.data,
-        protocol=EvaluationProtocol(recipe.max_disparity),
+        protocol=EvaluationProtocol(max_disparity),
     )
     scores = result.scores.masks["all"]
     figures = {name: scores.per_image[ours] for name, ours in _FIGURES.items()}
     known = {name: value for name, value in figures.items() if value is not None}
     if len(known) < len(figures):
-        raise InputError(f"{recipe.data}: no pixel to score in 0 < d < {recipe.max_disparity}")
+        raise InputError(f"{recipe.data}: no pixel to score in 0 < d < {max_disparity}")
     return AblationRow(recipe.model, scores.images, known)
 
 

@@ -7,10 +7,12 @@ number of ranks and whether the run was interrupted: that is what makes a resume
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler
 
 from mobilestereonet.data.augment import AugmentConfig, augment, geometry_only
@@ -87,8 +89,14 @@ class TrainingPairs(Dataset[TrainingBatch]):
         """Every pass over the data set has an order of its own."""
         length = len(self.source)  # type: ignore[arg-type]
         epoch, place = divmod(position, length)
-        key = [self.seed | _ORDER, epoch]
-        return int(np.random.Generator(np.random.Philox(key=key)).permutation(length)[place])
+        return int(_order(self.seed, epoch, length)[place])
+
+
+@lru_cache(maxsize=2)  # a batch may reach from one pass into the next
+def _order(seed: int, epoch: int, length: int) -> NDArray[np.int64]:
+    """Order of a data set's samples in one pass over it."""
+    generator = np.random.Generator(np.random.Philox(key=[seed | _ORDER, epoch]))
+    return generator.permutation(length)
 
 
 class PositionBatches(Sampler[list[int]]):

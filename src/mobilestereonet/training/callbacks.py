@@ -1,4 +1,4 @@
-"""What Lightning does in a run beside the steps: checkpoints, average, ends, bar."""
+"""Lightning callbacks of a training run: checkpoints, moving average, time limit, progress."""
 
 from __future__ import annotations
 
@@ -20,9 +20,15 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 
+from mobilestereonet.errors import InputError
+
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Checkpoints that are whole or absent: written beside their place, then renamed."""
+    """Reads and writes checkpoints: whole or absent, and data only.
+
+    They are written beside their place, then renamed. (Lightning's own writer moves a file from the
+    system's folder of temporary files, which may lie on another disk.)
+    """
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
@@ -33,6 +39,29 @@ class AtomicCheckpoints(TorchCheckpointIO):
         temporary = target.with_name(f".{target.name}.part")
         torch.save(checkpoint, temporary)
         temporary.replace(target)
+
+    def load_checkpoint(
+        self,
+        path: str | os.PathLike[str],
+        map_location: Any = lambda storage, _: storage,
+        weights_only: bool | None = None,
+    ) -> dict[str, Any]:
+        """Read a checkpoint of `save_checkpoint`, to the CPU; no code in it is run.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            InputError: If it is damaged, or holds objects other than tensors and plain data.
+        """
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"{path}: no such checkpoint")
+        try:
+            found: dict[str, Any] = torch.load(path, map_location, weights_only=True)
+        except Exception as error:  # whatever a damaged file makes of the reader
+            raise InputError(
+                f"{path}: not a checkpoint of `msnet train` that is data only, nothing of it was "
+                f"run ({str(error).splitlines()[0]}): start anew in another folder"
+            ) from None
+        return found
 
 
 class LastCheckpoint(Checkpoint):

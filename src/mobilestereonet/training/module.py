@@ -14,24 +14,22 @@ import torch.distributed as dist
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
+from torch.nn.utils import (
+    convert_conv2d_weight_memory_format,
+    convert_conv3d_weight_memory_format,
+)
 
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
-from mobilestereonet.nets import build_model
-from mobilestereonet.nets.model import IMAGENET
+from mobilestereonet.nets import StereoModel, VolumeModel, build_model
+from mobilestereonet.nets.operations import pad, unpad
 from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.batches import TrainingBatch
-from mobilestereonet.training.losses import (
-    cross_entropy_sum,
-    distillation_sum,
-    smooth_l1_sum,
-    trained_pixels,
-)
 from mobilestereonet.training.muon import Muon
+from mobilestereonet.training.objective import Objective, Part
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
 
@@ -55,34 +53,35 @@ class StereoModule(L.LightningModule):
     def __init__(self, recipe: Recipe, steps: int, global_batch: int) -> None:
         super().__init__()
         torch.manual_seed(recipe.seed)
-        self.net = build_model(
-            recipe.model,
-            max_disparity=recipe.max_disparity,
-            estimator=recipe.estimator,
-            coarse_pass=recipe.coarse_pass,
-        )
+        self.net = build_model(recipe.model, **recipe.net)
         if recipe.zero_residuals:
-            self.net.zero_residuals()
-        self.teacher = (
-            Teacher(recipe.teacher, self.net.config) if recipe.teacher is not None else None
-        )
-        self.val_metrics = StereoMetrics(recipe.max_disparity)
+            try:
+                self.net.zero_residuals()
+            except InputError as error:
+                raise InputError(f"recipe: {error}: --set zero_residuals=false") from None
+        # As the accelerated form has them; a moving average is copied before that is made.
+        convert_conv2d_weight_memory_format(self.net, torch.channels_last)
+        convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
+        self.objective = Objective(recipe, self.net)
+        self.teacher = None if recipe.teacher is None else Teacher(recipe.teacher, self.net)
+        self.val_metrics = StereoMetrics(self.net.max_disparity)
         self.recipe = recipe
         self.steps = steps
         self.lr = recipe.lr * global_batch / recipe.lr_batch
         self.skipped: Tensor
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
         self._saved_buffers: list[Tensor] = []
-        self._fast: list[Any] = []  # no submodule: it shares the parameters of the network
+        # In a tuple, so that neither checkpoints nor the optimizer see it.
+        self._accelerated: tuple[StereoModel, ...] = ()
         self._step_ended = 0.0
         self._seconds: deque[float] = deque(maxlen=20)
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1 of any size, in eval mode."""
         height, width = left.shape[-2:]
-        multiple = self.net.config.size_multiple
+        multiple = self.net.size_multiple
         size = [math.ceil(side / multiple) * multiple for side in (height, width)]
-        views = [pad(IMAGENET(view), *size) for view in (left, right)]
+        views = [pad(self.net.preprocessing(view), *size) for view in (left, right)]
         return unpad(cast(Tensor, self.net(*views).disparity), height, width)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -101,12 +100,18 @@ class StereoModule(L.LightningModule):
             )
 
     def on_fit_start(self) -> None:
-        """Take the fast form of the network, now that it is where it is trained."""
-        self._fast = [accelerate(self.net, "training")]
+        """Make the accelerated form, once the network is on its device."""
+        fast = cast(StereoModel, accelerate(self.net, "training"))
+        self._accelerated = (fast.train(),)
 
     def on_fit_end(self) -> None:
-        """Leave the plain network alone."""
-        self._fast = []
+        """Let the accelerated form go."""
+        self._accelerated = ()
+
+    @property
+    def accelerated(self) -> StereoModel:
+        """The network in its form for training, which shares the parameters; during a fit only."""
+        return self._accelerated[0]
 
     def on_train_start(self) -> None:
         """Start the clock."""
@@ -121,71 +126,35 @@ class StereoModule(L.LightningModule):
                 f"{pairs.name} has no ground truth: choose another split to train on, or set a "
                 "teacher"
             )
-        views = IMAGENET(pairs.left), IMAGENET(pairs.right)
-        net = self._fast[0]
+        net = self.accelerated
         net.set_step(self.global_step)
-        outputs = net(*views)
-        volume, scores = outputs.volume, outputs.scores
+        outputs = net(net.preprocessing(pairs.left), net.preprocessing(pairs.right))
         with torch.autocast(self.device.type, enabled=False):
-            predictions = outputs.last(self.recipe.full_heads).disparities
-            sums = [self._truth_loss(pairs, volume, scores, predictions)]
+            parts = [self.objective.truth(net, outputs, pairs)]
             if self.teacher is not None:
-                assert batch.clean is not None
-                sums.append(self._teacher_loss(self.teacher, batch.clean, scores, predictions[-1]))
-        losses, pixels = (torch.stack(part) for part in zip(*sums, strict=True))
-        ranks = self.trainer.world_size
-        if ranks > 1:
-            dist.all_reduce(pixels)
-        losses = losses * ranks / pixels.clamp_min(1)
-        loss = losses[0]
-        if self.teacher is not None:
-            self.log("train/teacher_loss", losses[1].detach())
-            loss = loss + self.recipe.distil * losses[1]
+                assert batch.clean is not None and isinstance(net, VolumeModel)
+                parts.append(self.objective.taught(net, outputs, *self.teacher(batch.clean)))
+        loss = self._mean_over_ranks(parts)
         self.log("train/loss", loss.detach())
         self.log("loss", loss.detach(), prog_bar=True, logger=False)
         self.log("train/lr", self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+        for name, figure in parts[0].figures.items():
+            self.log(f"train/{name}", figure)
+            if name == "epe":
+                self.log("EPE", figure, prog_bar=True, logger=False)
         return loss
 
-    def _truth_loss(
-        self,
-        pairs: StereoSample,
-        volume: Tensor,
-        scores: list[Tensor],
-        predictions: list[Tensor],
-    ) -> tuple[Tensor, Tensor]:
-        """Sum over the pixels with ground truth, and their number; zeros where there is none."""
-        if pairs.disparity is None or pairs.valid is None:
-            zero = volume.new_zeros((), dtype=torch.float32)
-            return zero, zero
-        mask = trained_pixels(pairs.disparity, pairs.valid, self.recipe.max_disparity)
-        loss = smooth_l1_sum(predictions, pairs.disparity, mask)
-        if self.recipe.cross_entropy:
-            coarse = cross_entropy_sum(scores, pairs.disparity, mask)
-            loss = loss + self.recipe.cross_entropy * coarse
-        if self.recipe.volume_cross_entropy and self.net.config.volume_channels == 1:
-            loss = loss + self.recipe.volume_cross_entropy * self._volume_loss(
-                volume, pairs.disparity, mask
-            )
-        error = torch.where(mask, (predictions[-1].detach() - pairs.disparity).abs(), 0)
-        epe = error.sum() / mask.sum().clamp_min(1)
-        self.log("train/epe", epe)
-        self.log("EPE", epe, prog_bar=True, logger=False)
-        return loss, mask.sum().to(loss.dtype)
-
-    def _teacher_loss(
-        self, teacher: Teacher, clean: StereoSample, scores: list[Tensor], prediction: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Sum over the pixels, each as far as the teacher is sure of it, and of these weights."""
-        teacher_scores, teacher_disparity, confidence = teacher(clean)
-        loss = distillation_sum(
-            scores,
-            prediction,
-            teacher_scores,
-            teacher_disparity,
-            confidence,
-            cross_entropy=self.recipe.cross_entropy,
-        )
-        return loss, confidence.sum()
+    def _mean_over_ranks(self, parts: list[Part]) -> Tensor:
+        """Loss whose gradient, averaged over ranks, is that of the mean over all ranks' pixels."""
+        pixels = torch.stack([part.pixels for part in parts])
+        ranks = self.trainer.world_size
+        if ranks > 1:
+            dist.all_reduce(pixels)
+        losses = torch.stack([part.total for part in parts]) * ranks / pixels.clamp_min(1)
+        if self.teacher is None:
+            return losses[0]
+        self.log("train/teacher_loss", losses[1].detach())
+        return losses[0] + self.recipe.distil * losses[1]
 
     def on_train_batch_end(self, outputs: Any, batch: TrainingBatch, batch_idx: int) -> None:
         """Log the speed: the median of some steps leaves checkpoints and validation out."""
@@ -195,14 +164,6 @@ class StereoModule(L.LightningModule):
         rate = len(batch.augmented.left) * self.trainer.world_size / median(self._seconds)
         self.log("train/samples_per_second", rate)
         self.log("samples/s", rate, prog_bar=True, logger=False)
-
-    def _volume_loss(self, volume: Tensor, disparity: Tensor, mask: Tensor) -> Tensor:
-        """Cross entropy of a volume of one channel, its planes taken as scores."""
-        # Batch norm and ReLU leave the planes within a few units: sharpen them to be scores.
-        # Plane k compares columns at disparity 4 k, while a head's plane k means 4 k + 1.5.
-        loss = cross_entropy_sum([4 * volume[:, 0].float()], disparity + 1.5, mask)
-        self.log("train/volume_loss", loss.detach() / mask.sum().clamp_min(1))
-        return loss
 
     def validation_step(self, batch: StereoSample, batch_idx: int) -> None:
         """Score one batch; the first one's pictures go to TensorBoard."""

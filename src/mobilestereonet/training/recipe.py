@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from types import UnionType
-from typing import Any, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 
+from mobilestereonet import settings
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets import StereoModel, VolumeModel, model_config, model_info
 from mobilestereonet.scenes import SceneConfig
+from mobilestereonet.settings import build, differences
 from mobilestereonet.weights import is_embedded
+
+MODEL_LOSS = "model"
+"""A recipe's loss that is the network's own."""
 
 _PLACES = {"root", "textures"}
 """Values that say where the data lie, not what they are."""
@@ -31,11 +36,10 @@ class Recipe:
     A run writes its files and folders with absolute paths.
 
     Attributes:
-        model: Name of the network, see `list_models`.
-        max_disparity: Disparities 0 .. max_disparity - 1 are searched.
-        estimator: How the trained network estimates a disparity, see `NetConfig`; training itself
-            takes the mean.
-        coarse_pass: Train with a coarse pass, see `NetConfig`. Weights without one can start it.
+        model: Name of the network, see `list_models`, or a class of the user's own as
+            ``my_net.py:MyNet``.
+        net: Values of the network's config by name, in place of the model's, such as
+            ``max_disparity``, ``cost_volume``, ``estimator`` or ``coarse_pass`` (see `NetConfig`).
         data: "procedural", or the name of a data set, see `msnet evaluate --help`.
         root: Folder of the data set; None for procedural scenes.
         textures: Folder of photographs for procedural scenes.
@@ -58,8 +62,13 @@ class Recipe:
             points at one position are a jump.
         clip: Largest norm of the gradient; None does not clip.
         ema: Decay of the weights' moving average that is validated and exported; 0 has none.
-        full_heads: Heads, counted from the last, that the full-resolution smooth L1 against the
-            ground truth trains.
+        loss: Loss against the ground truth: "model", the network's own, or a function of the
+            user's own as ``my_loss.py:function``. It takes what the network gives in training
+            mode, the ground truth (B, H, W) in px, and the pixels that count, (B, H, W) bool; it
+            returns the mean over these pixels, a scalar.
+        full_heads: Heads, counted from the last, that this loss trains; None: all of them. Needs
+            a network with a cost volume, as do ``cross_entropy``, ``volume_cross_entropy`` and
+            ``teacher``.
         cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1, against
             the ground truth and against a teacher.
         val_every: Steps between two validations; a run of fewer validates after its last.
@@ -70,15 +79,13 @@ class Recipe:
             the name of embedded weights, or a weights file. It sees each pair before the changes
             of colour and sensor. None: ground truth alone.
         distil: Weight of what the teacher says, against the ground truth's 1.
-        zero_residuals: Start the residual branches of fresh weights at zero, see
-            `StereoNet.zero_residuals`; the paper does not.
+        zero_residuals: Start the residual branches of fresh weights at zero, in networks that
+            have such a method; the paper does not.
         seed: Seed of the fresh weights, the order of the data and the augmentation.
     """
 
     model: str = "msnet2d"
-    max_disparity: int = 192
-    estimator: str = "mean"
-    coarse_pass: bool = False
+    net: dict[str, Any] = field(default_factory=dict)
     data: str = "procedural"
     root: str | None = None
     textures: str | None = None
@@ -97,7 +104,8 @@ class Recipe:
     schedule: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 1.0))
     clip: float | None = None
     ema: float = 0.0
-    full_heads: int = 4
+    loss: str = MODEL_LOSS
+    full_heads: int | None = None
     cross_entropy: float = 0.0
     val_every: int = 1000
     save_every: int = 250
@@ -120,8 +128,6 @@ class Recipe:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
         if self.optimizer not in ("adam", "muon"):
             raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
-        if self.estimator not in ("mean", "mode"):
-            raise InputError(f"recipe: estimator must be mean or mode, got {self.estimator!r}")
         if self.teacher is not None and not self.cross_entropy > 0:
             raise InputError(
                 "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
@@ -148,15 +154,20 @@ class Recipe:
         paths = {"root": self.root, "textures": self.textures}
         by_name = {"weights": self.weights, "teacher": self.teacher}
         paths |= {key: name for key, name in by_name.items() if name and not is_embedded(name)}
-        given = {key: Path(path) for key, path in paths.items() if path is not None}
-        return override(self, {key: str(path.resolve()) for key, path in given.items()})
+        given = {key: str(Path(path).resolve()) for key, path in paths.items() if path is not None}
+        for key in ("model", "loss"):
+            file, colon, name = getattr(self, key).rpartition(":")
+            if file.endswith(".py"):
+                given[key] = f"{Path(file).resolve()}{colon}{name}"
+        return dataclasses.replace(self, **given)  # type: ignore[arg-type]
 
     def changes(self, now: Recipe) -> str:
         """Values in which ``now`` differs, in words; files may have moved."""
-        old, new = _values(self), _values(now)
-        moved = {name for name in _PLACES if old[name] and new[name]}
-        names = [name for name in new if old[name] != new[name] and name not in moved]
-        return ", ".join(f"{name} {old[name]} -> {new[name]}" for name in names)
+        changed = differences(self, now)
+        moved = {name for name in _PLACES if getattr(self, name) and getattr(now, name)}
+        return ", ".join(
+            f"{name} {old} -> {new}" for name, (old, new) in changed.items() if name not in moved
+        )
 
     def to_json(self) -> str:
         """The whole recipe as indented JSON."""
@@ -164,6 +175,40 @@ class Recipe:
 
 
 _PAPER_CROP = AugmentConfig(height=256, width=512)
+
+_PROCEDURAL = Recipe(
+    net={"estimator": "mode"},
+    scenes=SceneConfig(height=320, width=640),
+    augment=AugmentConfig(
+        height=256,
+        width=512,
+        scale=(-0.3, 0.4),
+        vertical_shift=0.7,
+        rotation=0.1,
+        exposure=(0.25, 0.55),
+        brightness=0.2,
+        contrast=0.3,
+        saturation=0.5,
+        hue=0.3,
+        gamma=0.4,
+        view_change=0.2,
+        grey=0.1,
+        vignette=0.2,
+        blur=1.0,
+        blur_probability=0.3,
+        noise=0.03,
+        patch_probability=0.2,
+    ),
+    steps=60_000,
+    optimizer="muon",
+    schedule=((0.0, 0.01), (0.02, 1.0), (0.5, 1.0), (1.0, 0.01)),
+    clip=1.0,
+    ema=0.999,
+    full_heads=1,
+    cross_entropy=5.0,
+    volume_cross_entropy=5.0,
+    zero_residuals=True,
+)
 
 RECIPES: dict[str, Recipe] = {
     "paper-sceneflow": Recipe(
@@ -193,50 +238,17 @@ RECIPES: dict[str, Recipe] = {
         epochs=400,
         schedule=((0.0, 1.0), (0.5, 1.0), (0.5, 0.1), (1.0, 0.1)),
     ),
-    "procedural": Recipe(
-        estimator="mode",
-        scenes=SceneConfig(height=320, width=640),
-        augment=AugmentConfig(
-            height=256,
-            width=512,
-            scale=(-0.3, 0.4),
-            vertical_shift=0.7,
-            rotation=0.1,
-            exposure=(0.25, 0.55),
-            brightness=0.2,
-            contrast=0.3,
-            saturation=0.5,
-            hue=0.3,
-            gamma=0.4,
-            view_change=0.2,
-            grey=0.1,
-            vignette=0.2,
-            blur=1.0,
-            blur_probability=0.3,
-            noise=0.03,
-            patch_probability=0.2,
-        ),
-        steps=60_000,
-        optimizer="muon",
-        schedule=((0.0, 0.01), (0.02, 1.0), (0.5, 1.0), (1.0, 0.01)),
-        clip=1.0,
-        ema=0.999,
-        full_heads=1,
-        cross_entropy=5.0,
-        volume_cross_entropy=5.0,
-        zero_residuals=True,
+    "procedural": _PROCEDURAL,
+    "procedural-plain": dataclasses.replace(
+        _PROCEDURAL,
+        net={},
+        full_heads=None,
+        cross_entropy=0.0,
+        volume_cross_entropy=0.0,
+        zero_residuals=False,
     ),
 }
-
-
-def _values(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Values of a recipe and its parts, by the names that ``--set`` takes."""
-    values: dict[str, Any] = {}
-    for part in dataclasses.fields(config):
-        name, value = prefix + part.name, getattr(config, part.name)
-        nested = dataclasses.is_dataclass(value)
-        values |= _values(value, f"{name}.") if nested else {name: value}
-    return values
+"""Recipes by name. "procedural-plain" asks nothing of a network but its own loss."""
 
 
 def get_recipe(name: str) -> Recipe:
@@ -250,6 +262,24 @@ def get_recipe(name: str) -> Recipe:
     return RECIPES[name]
 
 
+def default_recipe(model: str) -> Recipe:
+    """The recipe "procedural" if a network takes all of its values, else "procedural-plain".
+
+    Args:
+        model: Name of the network, see `Recipe`.
+
+    Raises:
+        FileNotFoundError: If there is no such file of a network of the user's own.
+        InputError: If the name is unknown.
+    """
+    network, recipe = model_info(model).network, RECIPES["procedural"]
+    known = {part.name for part in dataclasses.fields(model_config(model))}
+    has_zero_residuals = network.zero_residuals is not StereoModel.zero_residuals
+    fits = issubclass(network, VolumeModel) and has_zero_residuals
+    name = "procedural" if fits and recipe.net.keys() <= known else "procedural-plain"
+    return dataclasses.replace(RECIPES[name], model=model)
+
+
 def read_recipe(path: Path) -> Recipe:
     """The recipe that a run wrote beside its checkpoints.
 
@@ -260,7 +290,8 @@ def read_recipe(path: Path) -> Recipe:
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} holds no run: there is no {path.name} in it")
     try:
-        return cast(Recipe, _build(Recipe, json.loads(path.read_text("utf-8")), "recipe"))
+        record = _of_older_versions(json.loads(path.read_text("utf-8")))
+        return build(Recipe, record, "recipe", also_known=_net_names(record))
     except (ValueError, InputError) as error:  # ValueError: no JSON, or no text at all
         raise InputError(f"{path}: not a recipe: {error}") from None
 
@@ -275,56 +306,30 @@ def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
     Raises:
         InputError: If a name is none of the recipe's, or a value has the wrong type.
     """
-    record = dataclasses.asdict(recipe)
-    for key, value in values.items():
-        *parents, name = key.split(".")
-        target: Any = record
-        for parent in parents:
-            if isinstance(target, dict) and target.get(parent) is None:
-                target[parent] = {}
-            target = target[parent] if isinstance(target, dict) else None
-        if not isinstance(target, dict):
-            raise InputError(f"recipe: there is no {key}: {parents[-1]} has no parts")
-        target[name] = value
-    return cast(Recipe, _build(Recipe, record, "recipe"))
+    model = values.get("model", recipe.model)
+    return settings.override(recipe, values, "recipe", also_known=_net_names({"model": model}))
 
 
-def _did_you_mean(key: str, own: Iterable[str]) -> str:
-    """The name most like ``key``: one of the part that it was looked for in, or of any other."""
-    like = difflib.get_close_matches(key, own, n=1, cutoff=0.75)
-    if not like:
-        names = list(_values(get_recipe("procedural")))
-        parts = [name.rpartition(".")[2] for name in names]
-        near = difflib.get_close_matches(key, parts, n=1, cutoff=0.65)
-        like = [name for name, part in zip(names, parts, strict=True) if part in near]
-    return f" (did you mean {' or '.join(like)}?)" if like else ""
+def _net_names(record: Any) -> list[str]:
+    """Values of a recipe's network by the names that ``--set`` takes, as far as it is known."""
+    with suppress(InputError, AttributeError, TypeError):
+        config = model_config(record.get("model", Recipe.model))
+        return [f"net.{part.name}" for part in dataclasses.fields(config)]
+    return []
 
 
-def _build(hint: Any, value: Any, name: str) -> Any:
-    """A value of the hinted type from plain JSON: dataclasses and tuples, nested."""
-    kind, members = get_origin(hint) or hint, get_args(hint)
-    if dataclasses.is_dataclass(kind) and isinstance(value, dict):
-        hints = get_type_hints(kind)
-        for key in value:
-            if key not in hints:
-                near = _did_you_mean(key, hints)
-                raise InputError(f"{name} has no value {key!r}{near}, only {', '.join(hints)}")
-        parts = {key: _build(hints[key], item, key) for key, item in value.items()}
-        return cast(Any, kind)(**parts)
-    if kind in (UnionType, Union):
-        return None if value is None else _build(members[0], value, name)
-    if kind is tuple and isinstance(value, list | tuple):
-        kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
-        if len(kinds) == len(value):
-            return tuple(_build(*pair, name) for pair in zip(kinds, value, strict=True))
-    elif kind is float and type(value) is int:
-        return float(value)
-    elif isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
-        return value
-    wanted = str(hint) if members else kind.__name__
-    if issubclass(kind, Mapping):
-        wanted = 'a JSON object such as {"name": 1}'
-    elif dataclasses.is_dataclass(kind):
-        names = ", ".join(part.name for part in dataclasses.fields(kind))
-        wanted = f"a JSON object with some of {names}"
-    raise InputError(f"{name} must be {wanted}, got {value!r}")
+_NET_VALUES = {"max_disparity": 192, "estimator": "mean", "coarse_pass": False}
+"""Values of the network that recipes of version 0.1.0 held themselves, and their defaults."""
+
+
+def _of_older_versions(record: Any) -> Any:
+    """A recipe's JSON with what older versions called otherwise in its place of now."""
+    if not isinstance(record, dict) or not _NET_VALUES.keys() & record.keys():
+        return record
+    record = {"full_heads": 4, **record}
+    old = {name: record.pop(name) for name in _NET_VALUES if name in record}
+    net = {name: value for name, value in old.items() if value != _NET_VALUES[name]}
+    # Their networks had four heads at most.
+    if record["full_heads"] == 4:
+        record["full_heads"] = None
+    return {**record, "net": net | record.get("net", {})}

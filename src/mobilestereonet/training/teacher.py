@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -12,56 +12,68 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.engines.choose import open_runtime
 from mobilestereonet.engines.scores import ScoresRuntime
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import IMAGENET, VolumeModel
+from mobilestereonet.nets import StereoModel, VolumeModel
 from mobilestereonet.weights import load_model
 
 
 class Teacher:
-    """Matches pairs for another network; no module, so that no checkpoint of that one holds it.
+    """A trained network as the teacher of another; no module, so that no checkpoint holds it.
 
     Args:
-        weights: The name of embedded weights, or a weights file.
-        student: Config of the network that learns.
+        weights: Anything that `load_model` takes: the name of embedded weights, a weights file.
+        student: The network that learns.
 
     Raises:
-        FileNotFoundError: If there are neither such embedded weights nor such a file.
-        InputError: If the file holds no weights, or those of a network that searches other
-            disparities than the student.
+        FileNotFoundError: If there is nothing of that name.
+        InputError: If the file holds no weights, or a network whose scores are not of the
+            student's kind.
     """
 
-    def __init__(self, weights: str, student: Any) -> None:
+    def __init__(self, weights: str, student: StereoModel) -> None:
         try:
-            self.net = load_model(weights)
+            net = load_model(weights)
         except FileNotFoundError as error:
             raise FileNotFoundError(
                 f"teacher {error}: set teacher to one of these, or to where the file is now"
             ) from None
-        if self.net.config.max_disparity != student.max_disparity:
+        if not isinstance(net, VolumeModel):
             raise InputError(
-                f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "
-                f"network in training {student.max_disparity}: set max_disparity to the former"
+                f"teacher {weights} regresses the disparity directly: one with matching scores is "
+                "needed, such as msnet3d"
             )
-        self._runtime: ScoresRuntime | None = None
+        if net.max_disparity != student.max_disparity:
+            raise InputError(
+                f"teacher {weights} searches {net.max_disparity} disparities, the network in "
+                f"training {student.max_disparity}: set net.max_disparity to the former"
+            )
+        scale = student.regression.scale if isinstance(student, VolumeModel) else None
+        if net.regression.scale != scale:
+            raise InputError(
+                f"teacher {weights} scores every {net.regression.scale} pixels, the network in "
+                f"training every {scale}: choose a teacher of its kind"
+            )
+        self.net = net
+        self._engine: ScoresRuntime | None = None
 
     def __call__(self, pairs: StereoSample) -> tuple[Tensor, Tensor, Tensor]:
         """Match a batch on the device on which the first one is.
 
         Args:
-            pairs: Views (B, 3, H, W) in 0..1, H and W multiples of 16.
+            pairs: Views (B, 3, H, W) in 0..1, H and W multiples of the teacher's ``size_multiple``.
 
         Returns:
-            Scores (B, D, H / 4, W / 4) in bfloat16 where the device has it, else float32;
+            Scores (B, D, H / s, W / s) in bfloat16 where the device has it, else float32;
             disparity (B, H, W) in px, and its confidence in 0..1.
 
         Raises:
-            InputError: If the shapes do not fit, or the device is neither a CPU nor CUDA's.
+            InputError: If the shapes do not fit.
         """
-        if self._runtime is None:
-            runtime = open_runtime("torch", self.net, device=str(pairs.left.device))
-            self._runtime = cast(ScoresRuntime, runtime)
-        scores = self._runtime.scores(IMAGENET(pairs.left), IMAGENET(pairs.right))
-        # Tensors of the inference mode must not be part of a gradient.
-        scores = scores.clone()
-        regression = ClosedFormSoftArgmax(cast(VolumeModel, self.net).regression)
+        if self._engine is None:
+            engine = open_runtime("torch", self.net, device=str(pairs.left.device))
+            self._engine = cast(ScoresRuntime, engine)
+        views = (self.net.preprocessing(view) for view in (pairs.left, pairs.right))
+        # Cloned: tensors of the inference mode must not be part of a gradient.
+        scores = self._engine.scores(*views).clone()
         with torch.no_grad():
+            regression = ClosedFormSoftArgmax(self.net.regression)
             return scores, regression(scores), regression.confidence(scores)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar
 
 from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import check_arguments
 
 _Scanner = TypeVar("_Scanner", bound=type[StereoDataSet])
 _REGISTRY: dict[str, type[StereoDataSet]] = {}
@@ -57,20 +58,5 @@ def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
     known = data_sets()
     if name not in known:
         raise InputError(f"unknown data set {name!r}, choose one of {', '.join(known)}")
-    hints = get_type_hints(known[name].__init__)
-    del hints["root"], hints["return"]
-    for option, value in options.items():
-        if option not in hints:
-            raise InputError(f"{name} has no option {option!r}, only {', '.join(hints)}")
-        _check_type(f"{name}: {option}", value, hints[option])
+    options = check_arguments(known[name].__init__, options, name, reserved=["root"])
     return known[name](root, **options)
-
-
-def _check_type(name: str, value: Any, hint: Any) -> None:
-    """Refuse what a command line may give in place of a value of the hinted type."""
-    kinds = get_args(hint) or (hint,)
-    if float in kinds:
-        kinds += (int,)
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        wanted = "true or false" if hint is bool else getattr(hint, "__name__", hint)
-        raise InputError(f"{name} must be {wanted}, got {value!r}")
