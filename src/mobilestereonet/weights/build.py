@@ -50,7 +50,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
         raise InputError(
             f"{weights.source}: its network config does not fit this version: {error}"
         ) from None
-    if model is not None and weights.model is not None and not is_model(config, model):
+    named = model is not None and ":" not in model  # a class of the user's own has any config
+    if named and weights.model is not None and not is_model(config, model):
         held = model_name(config)
         if held == "custom":
             held = f"a variant of {name} ({config_differences(config, model_config(name))})"
