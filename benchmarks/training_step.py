@@ -7,9 +7,9 @@ Ours is the step of `msnet train` under the recipe ``procedural``: all dispariti
 head in closed form, bfloat16 autocast, channels last; once with the paper's loss on four heads and
 the paper's optimizer.
 The authors' is the network of ``nets/``: a loop over 48 cropped pairs, one view after the other,
-four heads upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a process of its
-own, whose largest resident size is the peak memory; on a GPU it is what PyTorch allocates there,
-and its settings are PyTorch's own: float32 convolutions in TF32.
+four heads upsampled to 192 x H x W, float32, the default memory layout. Each is measured in a
+process of its own, whose largest resident size is the peak memory; on a GPU it is what PyTorch
+allocates there, and its settings are PyTorch's own: float32 convolutions in TF32.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def test_initial_weights(tmp_path):
     after = _train(tmp_path / "run", recipe).net.state_dict()
     for name in ("features.first.0.0.weight", "heads.1.score.weight"):
         assert torch.allclose(after[name], before[name], atol=1e-7)
-    with pytest.raises(InputError, match=r"it holds table3a-v1-v1; add --set net.max_disparity=32$"):
+    with pytest.raises(InputError, match=r"table3a-v1-v1; add --set net\.max_disparity=32$"):
         _train(tmp_path / "other", override(recipe, {"net.max_disparity": 64}))
     with pytest.raises(
         InputError,
@@ -119,7 +119,7 @@ def test_a_coarse_pass_starts_from_weights_without_one(tmp_path):
     _train(tmp_path / "coarse", override(recipe, {"net.coarse_pass": True}))
     coarse = str(tmp_path / "coarse/weights.safetensors")
     assert load_model(coarse).config.coarse_pass
-    with pytest.raises(InputError, match="holds table3b-v1-v2; add --set net.coarse_pass=true$"):
+    with pytest.raises(InputError, match=r"table3b-v1-v2; add --set net\.coarse_pass=true$"):
         _train(tmp_path / "plain", replace(recipe, weights=coarse))
 
 

@@ -4,13 +4,13 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
-from mobilestereonet.nets import IMAGENET
 from torch.utils.data import Dataset
 
 from mobilestereonet import InputError, create_model
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.nets import IMAGENET
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import TrainingBatch, TrainingPairs
 from mobilestereonet.training.losses import distillation_sum

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from mobilestereonet.nets import (
     model_config,
     model_name,
 )
+from mobilestereonet.settings import differences
 from mobilestereonet.weights.checkpoints import strip_prefixes
 from mobilestereonet.weights.files import COUNTER, WeightsFile
 from mobilestereonet.weights.shapes import registered_shapes, shapes
@@ -50,8 +50,9 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
         raise InputError(
             f"{weights.source}: its network config does not fit this version: {error}"
         ) from None
-    named = model is not None and ":" not in model  # a class of the user's own has any config
-    if named and weights.model is not None and not is_model(config, model):
+    # A class of the user's own takes any config.
+    named = None if model is None or ":" in model else model
+    if named and weights.model is not None and not is_model(config, named):
         held = model_name(config)
         if held == "custom":
             held = f"a variant of {name} ({config_differences(config, model_config(name))})"
@@ -174,6 +175,5 @@ def config_differences(config: Any, other: Any) -> str:
     """Values that two configs do not share, in words."""
     if type(config) is not type(other):
         return f"{type(config).__name__}, not {type(other).__name__}"
-    names = (part.name for part in fields(config))
-    pairs = ((name, getattr(config, name), getattr(other, name)) for name in names)
-    return ", ".join(f"{name} {one}, not {two}" for name, one, two in pairs if one != two)
+    pairs = differences(config, other).items()
+    return ", ".join(f"{name} {one}, not {two}" for name, (one, two) in pairs)
