@@ -9,10 +9,10 @@ import sys
 
 import pytest
 import typer
-from mobilestereonet.cli.assignments import parse_assignments
 from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
 
 from extras import need_extra
+from mobilestereonet.cli.assignments import parse_assignments
 from mobilestereonet.cli.main import app, main
 from mobilestereonet.training.recipe import get_recipe, override
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from mobilestereonet.cli.assignments import parse_assignments
 
+from mobilestereonet.cli.assignments import parse_assignments
 from mobilestereonet.cli.evaluate import evaluate as command
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
