@@ -12,8 +12,8 @@ import typer
 from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
 
 from extras import need_extra
-from mobilestereonet.cli.assignments import parse_assignments
 from mobilestereonet.cli.main import app, main
+from mobilestereonet.settings import parse_assignments
 from mobilestereonet.training.recipe import get_recipe, override
 
 EXTRAS = {"streams.md": ("av", "ray.data")}

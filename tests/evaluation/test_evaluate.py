@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from mobilestereonet.cli.assignments import parse_assignments
 from mobilestereonet.cli.evaluate import evaluate as command
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
@@ -21,6 +20,7 @@ from mobilestereonet.evaluation import (
     save_evaluations,
 )
 from mobilestereonet.nets import build_model
+from mobilestereonet.settings import parse_assignments
 from mobilestereonet.weights import save_weights
 
 SCALE = 100.0
