@@ -38,7 +38,7 @@ from mobilestereonet.nets import create_model
 from mobilestereonet.nets.normalise import normalise
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.losses import smooth_l1_sum, trained_pixels
-from mobilestereonet.training.memory import keep_freed_memory
+from mobilestereonet.memory import keep_freed_memory
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import get_recipe
 from plain import PlainNet

@@ -65,7 +65,6 @@ def train(
     after its current step, with a checkpoint.
     """
     from mobilestereonet.cli.assignments import parse_assignments
-    from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import get_recipe, override, read_recipe
     from mobilestereonet.training.run import train as run
 
@@ -76,7 +75,6 @@ def train(
     values = parse_assignments(assignments or [])
     paths = {"root": root, "textures": textures, "weights": weights}
     values |= {name: str(path) for name, path in paths.items() if path is not None}
-    keep_freed_memory()
     run(
         override(chosen, values),
         folder,

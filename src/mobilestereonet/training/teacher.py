@@ -9,8 +9,8 @@ from torch import Tensor
 
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.engines.choose import open_runtime
-from mobilestereonet.engines.scores import ScoresRuntime
+from mobilestereonet.engines.choose import open_engine
+from mobilestereonet.engines.network import NetworkEngine
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import IMAGENET, VolumeModel
 from mobilestereonet.weights import load_model
@@ -41,7 +41,7 @@ class Teacher:
                 f"teacher {weights} searches {self.net.config.max_disparity} disparities, the "
                 f"network in training {student.max_disparity}: set max_disparity to the former"
             )
-        self._runtime: ScoresRuntime | None = None
+        self._runtime: NetworkEngine | None = None
 
     def __call__(self, pairs: StereoSample) -> tuple[Tensor, Tensor, Tensor]:
         """Match a batch on the device on which the first one is.
@@ -57,8 +57,8 @@ class Teacher:
             InputError: If the shapes do not fit, or the device is neither a CPU nor CUDA's.
         """
         if self._runtime is None:
-            runtime = open_runtime("torch", self.net, device=str(pairs.left.device))
-            self._runtime = cast(ScoresRuntime, runtime)
+            device = pairs.left.device
+            self._runtime = open_engine("torch", self.net, precision="auto", device=device)
         scores = self._runtime.scores(IMAGENET(pairs.left), IMAGENET(pairs.right))
         # Tensors of the inference mode must not be part of a gradient.
         scores = scores.clone()
