@@ -29,11 +29,11 @@ def bench(
     from rich.table import Table
 
     from mobilestereonet.cli.engine import open_network
+    from mobilestereonet.data.motorcycle import motorcycle_views
     from mobilestereonet.engines.benchmark import benchmark_engines, benchmark_network, fastest
     from mobilestereonet.engines.choose import installed_engines, open_standalone
     from mobilestereonet.engines.devices import AUTO, torch_device
     from mobilestereonet.errors import InputError
-    from mobilestereonet.data.motorcycle import motorcycle_views
     from mobilestereonet.export.metadata import check_size
 
     if min(size) < 1:

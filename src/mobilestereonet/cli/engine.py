@@ -94,8 +94,14 @@ def open_network(model: str | None, weights: Path | None) -> tuple[str, StereoMo
 
     Raises:
         FileNotFoundError: If there are no such weights.
-        InputError: If the file is damaged, or holds another network than ``model``.
+        InputError: If the file is corrupted, or holds another network than ``model``.
     """
-    from mobilestereonet.inference.matcher import pretrained_net
+    from mobilestereonet.inference import DEFAULT_MODEL
+    from mobilestereonet.nets import model_name
+    from mobilestereonet.weights import load_model
 
-    return pretrained_net(model, weights)
+    if weights is None:
+        model = model or DEFAULT_MODEL
+        return Path(model).name, load_model(model)
+    net = load_model(weights, model=model)
+    return model or model_name(net.config), net

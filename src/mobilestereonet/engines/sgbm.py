@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.images import to_picture
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import RGB, Prediction
-from mobilestereonet.data.images import to_picture
 
 _BLOCK_PX = 5
 
