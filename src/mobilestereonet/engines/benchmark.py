@@ -132,7 +132,7 @@ class EagerNetwork:
         except InputError:
             self.device = torch.device("cpu")
         self.threads = threads
-        self.net = copy.deepcopy(net).eval().to(self.device)
+        self.net = copy.deepcopy(net).float().eval().to(self.device)
         self._disparity: Callable[[Tensor, Tensor], Tensor] = self._match
         self.preprocessing = net.preprocessing
         self.size_multiple = net.size_multiple

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import shutil
 import warnings
 from collections.abc import Iterator
@@ -164,7 +163,7 @@ def _compared(export: Export, run: Run, net: StereoModel, kind: Format, precisio
     Raises:
         InputError: If they differ.
     """
-    baseline = EagerNetwork(copy.deepcopy(net).float())
+    baseline = EagerNetwork(net)
 
     def reference(left: Tensor, right: Tensor) -> Tensor:
         return baseline(net.preprocessing(left), net.preprocessing(right)).disparity
