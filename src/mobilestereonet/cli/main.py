@@ -26,6 +26,7 @@ from mobilestereonet.cli.train import train
 from mobilestereonet.cli.video import video
 from mobilestereonet.cli.web import web
 from mobilestereonet.errors import InputError
+from mobilestereonet.memory import keep_freed_memory
 
 app = typer.Typer(
     name="msnet",
@@ -63,6 +64,7 @@ def main() -> None:
     for developers_business in (DeprecationWarning, FutureWarning):
         warnings.simplefilter("ignore", developers_business)
     warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
+    keep_freed_memory()
     try:
         app()
     except (InputError, OSError) as error:
