@@ -26,7 +26,8 @@ def ablate(
         str | None, typer.Option(help="Networks instead of a table's, such as msnet2d,msnet3d.")
     ] = None,
     recipe: Annotated[
-        str, typer.Option(help="procedural, paper-sceneflow or paper-kitti2015.")
+        str,
+        typer.Option(help="procedural, procedural-plain, paper-sceneflow or paper-kitti2015."),
     ] = "procedural",
     steps: Annotated[
         int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
