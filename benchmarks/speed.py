@@ -42,7 +42,7 @@ from torch import Tensor
 from mobilestereonet.costs import count_costs
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.engines.choose import open_runtime
-from mobilestereonet.nets import StereoNet, create_model, model_config
+from mobilestereonet.nets import StereoNet, create_model
 from mobilestereonet.weights import embedded_models, load_model
 
 ENGINES = (
@@ -74,8 +74,8 @@ class Case:
         return int(height), int(width)
 
     def macs(self) -> int:
-        config = model_config(self.model, max_disparity=self.max_disparity)
-        return count_costs(config, *self.height_width)["total"].macs
+        costs = count_costs(self.model, *self.height_width, max_disparity=self.max_disparity)
+        return costs["total"].macs
 
     def net(self) -> StereoNet:
         torch.manual_seed(0)

@@ -17,6 +17,8 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 from mobilestereonet.streams.cluster import _Worker
 
+pytestmark = pytest.mark.slow
+
 COUNT = 24
 
 

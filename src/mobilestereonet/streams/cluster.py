@@ -8,7 +8,7 @@ from typing import Any
 
 import cv2
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.streams.batch import Outcome, match_pairs
 from mobilestereonet.streams.maps import MapFiles
@@ -76,11 +76,9 @@ def match_on_ray(
         InputError: If Ray is not installed, the cluster cannot be reached, or a worker fails in
             another way than by dying, such as on weights that its machine does not have.
     """
-    try:
+    with needs_extra("ray"):
         import ray
         import ray.data
-    except ImportError as error:
-        raise InputError('Ray is not installed: pip install "mobilestereonet[ray]"') from error
     todo = files.unfinished(pairs)
     if not todo:
         return

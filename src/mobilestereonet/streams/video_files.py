@@ -13,7 +13,7 @@ import cv2
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov")
@@ -23,13 +23,8 @@ _CLOCK = 90_000
 
 
 def _pyav() -> Any:
-    try:
+    with needs_extra("video", "image sequences and cameras are matched to --frames without it"):
         import av
-    except ImportError as error:
-        raise InputError(
-            'video files need PyAV: pip install "mobilestereonet[video]"; image sequences and '
-            "cameras are matched to --frames without it"
-        ) from error
     return av
 
 
