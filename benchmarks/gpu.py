@@ -1,11 +1,11 @@
-"""Speed and memory of the networks on a GPU against the plain formulation there, in one table.
+"""Speed and memory on a GPU against the paper's network as `nets/` has it, in one table.
 
     python benchmarks/gpu.py [--models msnet2d msnet3d] [--sizes 256x512 384x1248 1088x1920]
         [--engines plain:fp32 torch:fp32 torch:bf16 torch:fp16] [--repeats 20]
 
-Pairs, networks and plain formulation are those of `speed.py`; the pair is on the GPU before the
-clock starts. Peak memory is what PyTorch allocates, weights included. Differences are those to the
-plain formulation. PyTorch's settings are its own: float32 convolutions in TF32.
+Pairs, networks and engines are those of `speed.py`, ``compile:fp32`` among them; the pair is on the
+GPU before the clock starts. Peak memory is what PyTorch allocates, weights included. Differences
+are those to the first engine. PyTorch's settings are its own: float32 convolutions in TF32.
 """
 
 from __future__ import annotations

@@ -20,11 +20,12 @@ from torch import Tensor
 
 from accuracy import real_and_synthetic
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.engines.choose import open_runtime
+from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.evaluation import evaluate
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.nets import StereoNet
+from mobilestereonet.nets import StereoModel
+from mobilestereonet.nets.model import RGB, Prediction
 from mobilestereonet.weights import load_model
 
 REFERENCE = "torch:fp32"
@@ -32,19 +33,22 @@ ENGINES = ("torch:bf16", "onnxruntime:fp32", "openvino:fp32", "openvino:bf16")
 
 
 class File:
-    """An exported file as an engine: its views are not normalised, it does that itself."""
+    """Exported file as an engine: it takes RGB and preprocesses it itself."""
 
-    normalised = False
-    multiple = 32
     precision = "the file's"
+    device = torch.device("cpu")
+    threads = None
+    preprocessing = RGB
+    size_multiple = 32
+    has_confidence = False
 
     def __init__(self, path: Path, max_disparity: int) -> None:
         self.name = path.name
         self.max_disparity = max_disparity
         self.run = next(f for f in FORMATS.values() if f.ending == path.suffix).open(path)
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        return self.run(left, right)
+    def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
+        return Prediction(self.run(left, right))
 
 
 def main() -> None:
@@ -59,7 +63,7 @@ def main() -> None:
     net = load_model(arguments.weights)
     pairs = [pair for _, pairs in real_and_synthetic(arguments.root) for pair in pairs]
     names = (REFERENCE, *arguments.engines)
-    figures = {name: score(open_engine(name, net, arguments.threads), pairs) for name in names}
+    figures = {name: score(open_matcher(name, net, arguments.threads), pairs) for name in names}
 
     table = Table("engine", "pair", "EPE, px", "change", "D1, %", "change")
     for name, found in figures.items():
@@ -82,11 +86,11 @@ def main() -> None:
     Console(width=100).print(table)
 
 
-def open_engine(name: str, net: StereoNet, threads: int) -> StereoMatcher:
+def open_matcher(name: str, net: StereoModel, threads: int) -> StereoMatcher:
     if Path(name).suffix:
-        return StereoMatcher(File(Path(name), net.config.max_disparity))
+        return StereoMatcher(File(Path(name), net.max_disparity))
     engine, precision = name.split(":")
-    return StereoMatcher(open_runtime(engine, net, precision=precision, threads=threads))
+    return StereoMatcher(open_engine(engine, net, precision=precision, threads=threads))
 
 
 def score(matcher: StereoMatcher, pairs: list[StereoSample]) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Speed and memory of every engine and precision against the plain formulation, in one table.
+"""Speed and memory of every engine and precision against the paper's network as `nets/` has it.
 
     python benchmarks/speed.py [--models msnet2d msnet3d] [--sizes 256x512 384x1248 1088x1920]
         [--engines plain:fp32 torch:fp32 torch:bf16 ...] [--threads 2] [--plot growth.png]
@@ -11,6 +11,11 @@ really ran. Peak memory is the highest resident size during inference less that 
 that an engine reaches on the exact MACs of `msnet cost`. Differences are those to the plain
 formulation. Networks without embedded weights have fresh ones, which amplify rounding: their
 differences say little.
+
+"plain" is the network of ``nets/``, unaccelerated; "compile" (not among the default engines: it
+takes minutes) is that network under torch.compile with inductor and freezing. "first" is the first
+run, in which torch.compile compiles; in later rounds inductor has a cache. As on the command line,
+the C library keeps freed memory.
 """
 
 from __future__ import annotations
@@ -33,16 +38,16 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
-from mobilestereonet.nets.normalise import normalise
-from plain import PlainNet
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
 from mobilestereonet.costs import count_costs
 from mobilestereonet.data.motorcycle import motorcycle
-from mobilestereonet.engines.choose import open_runtime
-from mobilestereonet.nets import StereoNet, create_model
+from mobilestereonet.engines.benchmark import EagerNetwork
+from mobilestereonet.engines.choose import open_engine
+from mobilestereonet.memory import keep_freed_memory
+from mobilestereonet.nets import StereoModel, build_model
 from mobilestereonet.weights import embedded_models, load_model
 
 ENGINES = (
@@ -77,31 +82,36 @@ class Case:
         costs = count_costs(self.model, *self.height_width, max_disparity=self.max_disparity)
         return costs["total"].macs
 
-    def net(self) -> StereoNet:
+    def net(self) -> StereoModel:
         torch.manual_seed(0)
         if self.model not in embedded_models() or self.max_disparity != 192:
-            return create_model(self.model, max_disparity=self.max_disparity).eval()
+            return build_model(self.model, max_disparity=self.max_disparity).eval()
         net = load_model(self.model)
         # As the authors estimate, for the differences; "mode" takes some percent more time.
         net.config = replace(net.config, estimator="mean", coarse_pass=False)
+        net.regression.estimator = "mean"
         return net
 
     def views(self) -> tuple[Tensor, Tensor]:
         pair = motorcycle()
         left, right = (
-            F.interpolate(normalise(view)[None], self.height_width, mode="bilinear")
+            F.interpolate(self.net().preprocessing(view)[None], self.height_width, mode="bilinear")
             for view in (pair.left, pair.right)
         )
         return left, right
 
-    def open(self, threads: int, device: str = "cpu") -> Callable[[Tensor, Tensor], Any]:
+    def open(self, threads: int, device: str = "cpu") -> Callable[[Tensor, Tensor], Tensor]:
         torch.set_num_threads(threads)
         net = self.net()
-        if self.engine == "plain":
-            return torch.inference_mode()(PlainNet(net).eval().to(device))
-        return open_runtime(
-            self.engine, net, device=device, precision=self.precision, threads=threads
-        )
+        if self.engine in ("plain", "compile"):
+            engine = EagerNetwork(net, device)
+            if self.engine == "compile":
+                engine.compile(options={"freezing": True})
+        else:
+            engine = open_engine(
+                self.engine, net, device=device, precision=self.precision, threads=threads
+            )
+        return lambda left, right: engine(left, right).disparity
 
 
 def measure(
@@ -113,13 +123,16 @@ def measure(
     views = case.views()
     reset_peak_memory()
     before = memory("VmRSS")
-    np.save(output, engine(*views).float().numpy())
+    started = clock()
+    disparity = engine(*views)
+    first = clock() - started
+    np.save(output, disparity.float().numpy())
     seconds = []
     for _ in range(repeats):
         started = clock()
         engine(*views)
         seconds.append(clock() - started)
-    return {"seconds": seconds, "peak": memory("VmHWM") - before}
+    return {"seconds": seconds, "first": first, "peak": memory("VmHWM") - before}
 
 
 def reset_peak_memory() -> None:
@@ -161,6 +174,7 @@ def apart(**options: Any) -> Any:
 
 
 def child(options: dict[str, Any]) -> Any:
+    keep_freed_memory()
     if "gemm" in options:
         return gemm_rate(options.pop("gemm"), **options)
     return measure(Case(**options.pop("case")), **options)
@@ -169,6 +183,7 @@ def child(options: dict[str, Any]) -> Any:
 def run(cases: list[Case], *, rounds: int, repeats: int, **options: Any) -> list[dict[str, Any]]:
     """Records of all cases that could be measured, in their order; options as of `gemm_rate`."""
     seconds: dict[Any, list[float]] = defaultdict(list)
+    first: dict[Case, float] = {}
     peak: dict[Case, float] = {}
     rates: dict[str, float] = defaultdict(float)
     disparity: dict[Case, Any] = {}
@@ -182,12 +197,13 @@ def run(cases: list[Case], *, rounds: int, repeats: int, **options: Any) -> list
                 result = apart(case=asdict(case), repeats=repeats, output=output, **options)
                 if result is not None:
                     seconds[case] += result["seconds"]
+                    first.setdefault(case, result["first"])
                     peak[case] = max(peak.get(case, 0), result["peak"])
                     disparity[case] = np.load(output)
     records = []
     for case in peak:
         median = statistics.median(seconds[case])
-        record = {**asdict(case), "seconds": median, "peak": peak[case]}
+        record = {**asdict(case), "seconds": median, "first": first[case], "peak": peak[case]}
         if case.precision in rates:
             record["gemm"] = case.macs() / median / rates[case.precision]
         yardstick = Case(case.model, "plain", "fp32", case.size, case.max_disparity)
@@ -204,6 +220,7 @@ def run(cases: list[Case], *, rounds: int, repeats: int, **options: Any) -> list
 
 COLUMNS = {
     "seconds": ("seconds", 3),
+    "first": ("first", 1),
     "times faster": ("ratio", 2),
     "of GEMM": ("gemm", 2),
     "peak MiB": ("peak", 0),
@@ -240,7 +257,7 @@ def plot(records: list[dict[str, Any]], file: Path) -> None:
     lines: list[dict[str, list[tuple[float, float]]]] = [defaultdict(list), defaultdict(list)]
     for record in records:
         name = f"{record['model']}, {record['engine']} {record['precision']}"
-        name = name.replace("plain fp32", "authors' formulation")
+        name = name.replace("plain fp32", "as the paper writes it")
         height, width = map(int, record["size"].split("x"))
         if record["max_disparity"] == 192:
             lines[0][name].append((height * width / 1e6, record["seconds"]))
@@ -269,8 +286,12 @@ def growth(models: list[str], engines: list[list[str]]) -> list[Case]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    # "plain" is the module beside this one.
-    installed = [name for name in ENGINES if importlib.util.find_spec(name.split(":")[0])]
+    packages = {"plain": "torch"}
+    installed = [
+        name
+        for name in ENGINES
+        if importlib.util.find_spec(packages.get(name.split(":")[0], name.split(":")[0]))
+    ]
     parser.add_argument("--models", nargs="+", default=["msnet2d", "msnet3d"])
     parser.add_argument("--sizes", nargs="+", default=["256x512", "384x1248", "1088x1920"])
     parser.add_argument("--engines", nargs="+", default=installed, help="engine:precision")

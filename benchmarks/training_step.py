@@ -35,9 +35,9 @@ from torch.utils.data import DataLoader
 
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.memory import keep_freed_memory
 from mobilestereonet.nets import build_model, trained_pixels
 from mobilestereonet.training.batches import TrainingBatch
-from mobilestereonet.training.memory import keep_freed_memory
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import get_recipe
 

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
 from mobilestereonet import StereoMatcher, create_model, save_weights
-from mobilestereonet.engines.torch import TorchRuntime
+from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.weights import embedded
 
 
@@ -120,7 +120,7 @@ def test_bad_input_ends_with_one_line_and_writes_nothing(
     msnet, folder, weights, monkeypatch, change, message
 ):
     monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
-    monkeypatch.setattr(TorchRuntime, "__call__", lambda *_: pytest.fail("the network was run"))
+    monkeypatch.setattr(TorchEngine, "__call__", lambda *_: pytest.fail("the network was run"))
     before = tree(folder)
     good = {"left": "left.png", "right": "right.png", "-o": "new", "--weights": "net.safetensors"}
     chosen = {key: value for key, value in (good | change).items() if value is not None}
@@ -135,7 +135,7 @@ def test_bad_input_ends_with_one_line_and_writes_nothing(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc, where even root cannot write")
 def test_unwritable_folder_is_found_before_the_network_runs(msnet, folder, monkeypatch):
-    monkeypatch.setattr(TorchRuntime, "__call__", lambda *_: pytest.fail("the network was run"))
+    monkeypatch.setattr(TorchEngine, "__call__", lambda *_: pytest.fail("the network was run"))
     pair = folder / "left.png", folder / "right.png"
     net = folder / "net.safetensors"
     for place in ("/proc", "/proc/new"):

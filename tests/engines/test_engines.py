@@ -1,50 +1,36 @@
-"""Engines of converted networks: PyTorch's result, at any size, from a cache the second time."""
+"""Engines with the paper's networks: PyTorch's result, at any size, from a cache when converted."""
 
+import hashlib
 import os
+import subprocess
+import sys
 import threading
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
-from torch import nn
+from small_networks import make_msnet
+from torch.fx.node import map_arg
 
-from mobilestereonet import InputError, create_model
-from mobilestereonet.engines.base import ConfidentRuntime
-from mobilestereonet.engines.choose import (
-    RUNTIMES,
-    choose_engine,
-    open_runtime,
-    remember_fastest,
-)
+from mobilestereonet import InputError
+from mobilestereonet.engines import converted
+from mobilestereonet.engines.choose import CONVERTED, ENGINES, open_engine
 from mobilestereonet.engines.converted import _checksum, _forget_old
-from mobilestereonet.engines.onnxruntime import ONNXRuntime
-from mobilestereonet.engines.openvino import OpenVINORuntime
-from mobilestereonet.engines.torch import TorchRuntime, has_bfloat16
-from mobilestereonet.nets import model_config
+from mobilestereonet.engines.onnxruntime import OnnxRuntimeEngine
+from mobilestereonet.engines.openvino import OpenVinoEngine
+from mobilestereonet.engines.torch import has_bfloat16
+from mobilestereonet.engines.tracing import example_pair, exportable
 
-SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
-ENGINES = [
+CPU = torch.device("cpu")
+CONVERTED_ENGINES = [
     pytest.param(
         engine,
         id=engine.name,
         marks=pytest.mark.skipif(not engine.installed(), reason="not installed"),
     )
-    for engine in (ONNXRuntime, OpenVINORuntime)
+    for engine in CONVERTED.values()
 ]
-
-
-def small(name="msnet2d", **options):
-    torch.manual_seed(0)
-    net = create_model(name, **SMALL, **options).eval()
-    net.zero_residuals()  # fresh weights would amplify rounding
-    with torch.no_grad():
-        for module in net.modules():
-            if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
-                module.bias.normal_(0, 0.1)
-                module.running_mean.normal_(0, 0.1)
-                module.running_var.uniform_(0.5, 1.5)
-        if net.config.coarse_pass:
-            net.guide.weight.normal_()
-    return net
 
 
 def views(height, width, batch=1):
@@ -56,89 +42,147 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("network", "options"),
     [
         ("msnet2d", {"estimator": "mode"}),
         ("msnet3d", {}),
         ("msnet3d", {"coarse_pass": True}),
     ],
 )
-def test_every_size_gives_what_the_network_gives(engine, name, options, cache):
-    net = small(name, **options)
-    runtime = engine(net, threads=1, cache=cache)
-    assert isinstance(runtime, ConfidentRuntime)
+def test_every_size_gives_what_the_network_gives(name, network, options, cache):
+    if name in CONVERTED and not CONVERTED[name].installed():
+        pytest.skip("not installed")
+    net = make_msnet(network, **options)
+    engine = open_engine(name, net, threads=1, cache=cache)
     # The last one is narrower than the converted graph takes.
-    unit = net.config.size_multiple
+    unit = net.size_multiple
     for batch, height, width in ((1, 2, 4), (2, 3, 7), (1, 1, 1)):
         left, right = views(height * unit, width * unit, batch)
         with torch.no_grad():
             expected = net(left, right)
-        found = runtime(left, right)
-        assert found.dtype == torch.float32
+        found = engine(left, right, confidence=True)
+        assert found.disparity.dtype == found.confidence.dtype == torch.float32
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("estimator", ["mean", "mode"])
-def test_confidence_is_that_of_the_torch_engine(engine, estimator, cache):
-    net = small(estimator=estimator)
-    left, right = views(32, 64)
-    expected = TorchRuntime(net).with_confidence(left, right)
-    found = engine(net, cache=cache).with_confidence(left, right)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
+def test_any_type_of_views_and_any_number_of_threads_leave_no_trace():
+    threads = torch.get_num_threads()
+    engine = open_engine("torch", make_msnet(), threads=threads + 1)
+    disparity = engine(*torch.randn(2, 1, 3, 16, 32, dtype=torch.float64)).disparity
+    assert disparity.dtype == torch.float32
+    assert torch.get_num_threads() == threads
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_conversions_are_kept_and_made_again_when_one_is_damaged_or_not_to_be_had(
+@pytest.mark.parametrize("engine", CONVERTED_ENGINES)
+def test_conversions_are_kept_and_made_again_when_one_is_corrupted_or_not_to_be_had(
     engine, tmp_path, monkeypatch
 ):
-    net, pair = small(), views(32, 64)
-    expected = engine(net, cache=tmp_path)(*pair)
+    net, pair = make_msnet(), views(32, 64)
+    expected = engine(net, cache=tmp_path)(*pair).disparity
     (cached,) = tmp_path.iterdir()
-    model = engine(net, cache=tmp_path)._convert(net)
+    model = cached.read_bytes()[converted._CHECKSUM_SIZE :]
     conversions = []
 
-    def convert(self, net):
-        conversions.append(net)
+    def convert(self, network, size):
+        conversions.append(network)
         return model
 
     monkeypatch.setattr(engine, "_convert", convert)
 
     def check(count, folder=tmp_path):
-        torch.testing.assert_close(engine(net, cache=folder)(*pair), expected)
+        torch.testing.assert_close(engine(net, cache=folder)(*pair).disparity, expected)
         assert len(conversions) == count
 
     check(0)
     kept = cached.read_bytes()
     flipped = bytearray(kept)
     flipped[len(kept) // 2] ^= 1
-    for count, damaged in enumerate((kept[: len(kept) // 2], bytes(flipped), b""), start=1):
-        cached.write_bytes(damaged)
+    for count, corrupted in enumerate((kept[: len(kept) // 2], bytes(flipped), b""), start=1):
+        cached.write_bytes(corrupted)
         check(count)
         assert cached.read_bytes() == _checksum(model) + model
         check(count)
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     check(4, blocked / "cache")
-    # Other weights, another file.
+
+
+@pytest.mark.parametrize("engine", CONVERTED_ENGINES)
+def test_the_cache_s_key_names_all_that_a_conversion_depends_on(engine, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "_convert", lambda self, network, size: b"")
+    monkeypatch.setattr(engine, "_load", lambda self, model: None)
+
+    def key(net=None, precision="fp32", size=None):
+        net = make_msnet() if net is None else net
+        return engine(net, precision=precision, cache=tmp_path)._key(size)
+
+    plain = key()
+    assert key() == plain
+    heavier = make_msnet()
     with torch.no_grad():
-        next(net.parameters()).mul_(2)
-    engine(net, cache=tmp_path)
-    assert len(conversions) == 5
+        next(heavier.parameters()).mul_(2)
+    other_config = make_msnet()
+    other_config.config = replace(other_config.config, estimator="mode")
+    keys = [plain, key(heavier), key(other_config), key(size=(32, 64))]
+    keys += [key(precision=name) for name in engine.precisions("CPU")[1:]]
+    with monkeypatch.context() as patch:
+        patch.setattr(converted, "CONVERSION_VERSION", converted.CONVERSION_VERSION + 1)
+        keys.append(key())
+    with monkeypatch.context() as patch:
+        patch.setattr(engine, "_machine", lambda self: "another")
+        keys.append(key())
+    for package in ("torch", *engine.packages):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.modules[package], "__version__", "99")
+            keys.append(key())
+    assert len(set(keys)) == len(keys)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+RECORDED_GRAPHS = {"2.13": (1, "917e76e1a9a94dc0")}
+"""By PyTorch's version: `CONVERSION_VERSION`, and a digest of the graphs that it stands for."""
+
+
+def test_a_changed_conversion_has_another_version():
+    """If this fails: raise `CONVERSION_VERSION`, then record it with the digest found here."""
+    torch_version = ".".join(torch.__version__.split(".")[:2])
+    if torch_version not in RECORDED_GRAPHS:
+        pytest.skip(f"no graphs recorded with PyTorch {torch_version}")
+    digest = hashlib.sha256()
+    for name, options in (("msnet2d", {}), ("msnet3d", {"coarse_pass": True})):
+        network = exportable(make_msnet(name, **options), scores=True)
+        program = torch.export.export(network, example_pair(network))
+        for node in program.graph.nodes:  # operators, their constants and shapes, but no names
+            target = node.target if node.op == "call_function" else node.op
+            constants = map_arg((node.args, node.kwargs), lambda _: None)
+            shape = getattr(node.meta.get("val"), "shape", None)
+            digest.update(f"{target} {constants} {shape}\n".encode())
+    found = (converted.CONVERSION_VERSION, digest.hexdigest()[:16])
+    assert found == RECORDED_GRAPHS[torch_version]
+
+
+def test_the_key_does_not_depend_on_source_files(tmp_path, monkeypatch):
+    if not OpenVinoEngine.installed():
+        pytest.skip("not installed")
+    read = []
+    monkeypatch.setattr(converted.Path, "read_bytes", lambda path: read.append(path) or b"")
+    monkeypatch.setattr(OpenVinoEngine, "_convert", lambda self, network, size: b"")
+    monkeypatch.setattr(OpenVinoEngine, "_load", lambda self, model: None)
+    OpenVinoEngine(make_msnet(), cache=tmp_path)
+    assert all(path.parent == tmp_path for path in read)
+
+
+@pytest.mark.parametrize("engine", CONVERTED_ENGINES)
 def test_threads_may_share_an_engine(engine, cache):
-    runtime = engine(small(), cache=cache)
+    shared = engine(make_msnet(), cache=cache, threads=1)
     pairs = [views(32, 64) for _ in range(4)]
-    expected = [runtime(*pair) for pair in pairs]
+    expected = [shared(*pair).disparity for pair in pairs]
     found = {}
 
     def match(index):
         for _ in range(5):
-            found[index] = runtime(*pairs[index])
+            found[index] = shared(*pairs[index]).disparity
 
     workers = [threading.Thread(target=match, args=(index,)) for index in range(4)]
     for worker in workers:
@@ -149,101 +193,51 @@ def test_threads_may_share_an_engine(engine, cache):
         torch.testing.assert_close(found[index], expected[index])
 
 
-@pytest.mark.skipif(not OpenVINORuntime.installed(), reason="not installed")
+@pytest.mark.skipif(not OpenVinoEngine.installed(), reason="not installed")
 def test_openvino_computes_in_the_precision_that_is_asked_for(cache):
-    net = small()
+    net = make_msnet()
     left, right = views(32, 64)
     full, half = (
-        OpenVINORuntime(net, precision=precision, cache=cache)(left, right)
+        OpenVinoEngine(net, precision=precision, cache=cache)(left, right).disparity
         for precision in ("fp32", "bf16")
     )
     with torch.no_grad():
-        assert (full - net(left, right)).abs().max() < 1e-3
+        assert (full - net(left, right).disparity).abs().max() < 1e-3
     assert (full - half).abs().mean() < 1
-    if has_bfloat16():
+    if has_bfloat16(CPU):
         assert (full - half).abs().max() > 1e-4
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_bad_options_are_named(engine, cache):
-    with pytest.raises(InputError, match=f"{engine.name} computes in .*, not in 'int4'"):
-        engine(small(), precision="int4", cache=cache)
-    with pytest.raises(InputError, match="threads must be at least 1, got 0"):
-        engine(small(), threads=0, cache=cache)
-    left, right = views(20, 64)
-    with pytest.raises(InputError, match="multiples of 16, got 20 x 64"):
-        engine(small(), cache=cache)(left, right)
+@pytest.mark.skipif(not OpenVinoEngine.installed(), reason="not installed")
+def test_openvino_tells_its_makers_nothing(cache, tmp_path, monkeypatch):
+    telemetry = pytest.importorskip("openvino_telemetry")
+
+    def send(*_, **__):
+        raise AssertionError("telemetry")
+
+    monkeypatch.setattr(telemetry, "Telemetry", send)
+    OpenVinoEngine(make_msnet(), cache=tmp_path)
+    assert list(tmp_path.iterdir())
+    assert telemetry.Telemetry is send
+
+
+@pytest.mark.skipif(not OnnxRuntimeEngine.installed(), reason="not installed")
+def test_a_conversion_leaves_the_logging_as_it_was(tmp_path):
+    import logging
+
+    logger = logging.getLogger("torch.onnx")
+    logger.setLevel(logging.INFO)
+    OnnxRuntimeEngine(make_msnet(), cache=tmp_path)
+    assert logger.level == logging.INFO
 
 
 def test_a_missing_engine_says_how_to_install_it(monkeypatch):
-    monkeypatch.setattr(ONNXRuntime, "installed", classmethod(lambda _: False))
-    with pytest.raises(InputError, match=r'onnxruntime is not installed: pip install ".*\[onnx\]"'):
-        open_runtime("onnxruntime", small())
-
-
-@pytest.fixture
-def empty_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr("mobilestereonet.engines.choose.user_cache", lambda: tmp_path)
-    return tmp_path
-
-
-@pytest.mark.parametrize("installed", [False, True])
-def test_auto_is_what_was_fastest_with_this_network(installed, empty_cache, monkeypatch):
-    config, other = model_config("msnet2d"), model_config("msnet3d")
-    assert choose_engine("auto", config, "fp32", "cpu") == ("torch", "fp32", "cpu")
-    remember_fastest(other, {"fp32": "torch"})
-    remember_fastest(config, {"fp32": "onnxruntime", "bf16": "openvino"})
-    monkeypatch.setattr("mobilestereonet.engines.choose.has_bfloat16", lambda: True)
-    for engine in (ONNXRuntime, OpenVINORuntime):
-        monkeypatch.setattr(engine, "installed", classmethod(lambda _: installed))
-    fp32, bf16 = ("onnxruntime", "openvino") if installed else ("torch", "torch")
-    assert choose_engine("auto", config, "fp32", "cpu") == (fp32, "fp32", "cpu")
-    assert choose_engine("auto", config, "auto", "cpu") == (bf16, "bf16", "cpu")
-    for precision in ("fp32", "bf16"):
-        assert choose_engine("auto", other, precision, "cpu")[0] == "torch"
-    monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
-    monkeypatch.setattr("mobilestereonet.engines.choose._has_bfloat16", lambda device: True)
-    assert choose_engine("auto", config, "fp32", "cuda")[0] == "torch"
-
-
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"%s": 1}', '{"%s": {"fp32": "tpu"}}'])
-def test_auto_is_torch_where_nothing_useful_is_remembered(content, empty_cache):
-    config = model_config("msnet2d")
-    (empty_cache / "fastest.json").write_text(content.replace("%s", str(config)))
-    assert choose_engine("auto", config, "fp32", "cpu") == ("torch", "fp32", "cpu")
-
-
-@pytest.mark.parametrize("has", [False, True])
-def test_auto_precision_is_bf16_where_the_processor_has_it(has, monkeypatch):
-    monkeypatch.setattr("mobilestereonet.engines.choose.has_bfloat16", lambda: has)
-    assert open_runtime("torch", small(), device="cpu").precision == ("bf16" if has else "fp32")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"name": "tpu"}, f"unknown runtime 'tpu': there are {', '.join(RUNTIMES)}"),
-        ({"name": "torch", "device": "toaster"}, "unknown device 'toaster'"),
-        ({"name": "torch", "precision": "fp16", "device": "cpu"}, "precision must be one of"),
-        ({"name": "torch", "device": "cuda:0"}, "PyTorch finds no GPU here: use cpu"),
-        ({"name": "torch", "device": "meta"}, "unknown device 'meta'"),
-    ],
-)
-def test_a_choice_that_cannot_be_had_is_refused(options, message, monkeypatch):
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    with pytest.raises(InputError, match=message):
-        open_runtime(net=small(), **options)
-
-
-def test_engines_keep_the_network_as_it_was(cache):
-    net = small()
-    engine = ONNXRuntime(net, cache=cache) if ONNXRuntime.installed() else TorchRuntime(net)
-    pair = views(16, 32)  # through PyTorch
-    before = engine(*pair)
-    with torch.no_grad():
-        for weight in net.parameters():
-            weight.mul_(2)
-    assert engine(*pair).equal(before)
+    monkeypatch.setattr(OnnxRuntimeEngine, "installed", classmethod(lambda _: False))
+    for precision in ("fp32", "auto"):
+        with pytest.raises(
+            InputError, match=r'onnxruntime is not installed: pip install ".*\[onnx\]"'
+        ):
+            open_engine("onnxruntime", make_msnet(), precision=precision)
 
 
 def test_only_some_conversions_are_kept(tmp_path):
@@ -255,3 +249,32 @@ def test_only_some_conversions_are_kept(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         f"openvino-{i}" for i in range(2, 10)
     ]
+
+
+MEMORY = """
+import sys, torch
+sys.path.insert(0, {tests!r})
+from small_networks import Direct, make
+from mobilestereonet.engines.choose import open_engine
+def resident():
+    lines = open("/proc/self/status").read().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
+engine = open_engine({name!r}, make(Direct))
+engine(*torch.zeros(2, 1, 3, 16, 32))
+block = torch.ones(2**26)  # 256 MiB
+before = resident()
+del block
+print(before - resident())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("name", ENGINES)
+def test_the_host_process_gives_memory_back(name):
+    if name in CONVERTED and not CONVERTED[name].installed():
+        pytest.skip("not installed")
+    program = MEMORY.format(tests=str(Path(__file__).parent), name=name)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, check=True, text=True
+    )
+    assert float(done.stdout.splitlines()[-1]) > 200

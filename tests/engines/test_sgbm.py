@@ -5,10 +5,11 @@ from skimage.data import stereo_motorcycle
 
 from mobilestereonet.data.images import image_to_tensor
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.engines.base import Runtime
+from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.sgbm import StereoSGBM, _fill_rows
 from mobilestereonet.errors import InputError
 from mobilestereonet.metrics import StereoMetrics
+from mobilestereonet.nets.model import RGB
 
 
 def test_motorcycle():
@@ -20,7 +21,7 @@ def test_motorcycle():
         torch.from_numpy(np.where(valid, truth, 0)).float()[None],
         torch.from_numpy(valid)[None],
     )
-    disparity = StereoSGBM()(batch.left, batch.right)
+    disparity = StereoSGBM()(batch.left, batch.right).disparity
     assert disparity.dtype == torch.float32
     metrics = StereoMetrics()
     metrics.update(disparity, batch)
@@ -32,7 +33,7 @@ def test_motorcycle():
 def test_a_batch_of_shifted_noise():
     generator = torch.Generator().manual_seed(0)
     wide = torch.rand(2, 3, 40, 140, generator=generator)
-    disparity = StereoSGBM(max_disparity=32)(wide[..., :120], wide[..., 10:130])
+    disparity = StereoSGBM(max_disparity=32)(wide[..., :120], wide[..., 10:130]).disparity
     assert disparity.shape == (2, 40, 120)
     # Left of column 10 the right view has no match.
     assert (disparity[..., 20:110] - 10).abs().max() < 0.1
@@ -47,15 +48,16 @@ def test_holes_take_the_smaller_neighbour():
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (40, 1)])
 def test_any_size(size):
     view = torch.rand(1, 3, *size)
-    disparity = StereoSGBM()(view, view)
+    disparity = StereoSGBM()(view, view).disparity
     assert disparity.shape == (1, *size)
     assert disparity.isfinite().all() and (disparity >= 0).all()
 
 
-def test_it_is_a_runtime_that_takes_raw_rgb_of_any_size():
+def test_it_is_an_engine_that_takes_raw_rgb_of_any_size():
     engine = StereoSGBM()
-    assert isinstance(engine, Runtime)
-    assert (engine.name, engine.normalised, engine.multiple) == ("sgbm", False, 1)
+    assert isinstance(engine, Engine)
+    assert (engine.name, engine.preprocessing, engine.size_multiple) == ("sgbm", RGB, 1)
+    assert engine(*torch.rand(2, 1, 3, 9, 9), confidence=True).confidence is None
 
 
 def test_bad_input():

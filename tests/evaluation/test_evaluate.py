@@ -214,7 +214,7 @@ def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monk
     save_weights(build_model("msnet2d", max_disparity=32), weights)
     seen = []
     monkeypatch.setattr(
-        "mobilestereonet.engines.torch.TorchRuntime.__call__",
+        "mobilestereonet.engines.torch.TorchEngine.__call__",
         lambda self, left, right: seen.append(left) or left[:, 0],
     )
     command("kitti2015", kitti, weights=weights, authors=True, json=report)

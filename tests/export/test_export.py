@@ -4,14 +4,16 @@ import json
 
 import pytest
 import torch
-from mobilestereonet.nets.normalise import normalise
 from torch import nn
 
-from mobilestereonet import InputError, create_model, save_weights
+from mobilestereonet import InputError, save_weights
 from mobilestereonet.data.motorcycle import motorcycle_views
+from mobilestereonet.engines.onnx_file import OnnxFileEngine
 from mobilestereonet.export import FORMATS, calibration_pairs, export_model
 from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
+from mobilestereonet.nets import build_model
+from mobilestereonet.nets.model import Prediction, Preprocessing, StereoModel
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 SIZE = (32, 64)
@@ -21,7 +23,7 @@ SIZE = (32, 64)
 def net():
     """A small network whose batch norms do something."""
     torch.manual_seed(0)
-    net = create_model("msnet2d", **SMALL, estimator="mode").eval()
+    net = build_model("msnet2d", **SMALL, estimator="mode").eval()
     net.zero_residuals()  # fresh weights would amplify rounding
     with torch.no_grad():
         for module in net.modules():
@@ -34,7 +36,7 @@ def net():
 
 def expected(net, left, right):
     with torch.no_grad():
-        return net(normalise(left), normalise(right))
+        return net(*map(net.preprocessing, (left, right))).disparity
 
 
 def needs(name, *, precision="fp32"):
@@ -77,7 +79,7 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
 def test_files_of_networks_with_a_coarse_pass(name, tmp_path):
     format_ = needs(name)
     torch.manual_seed(0)
-    net = create_model("msnet3d", **SMALL, groups=8, coarse_pass=True).eval()
+    net = build_model("msnet3d", **SMALL, groups=8, coarse_pass=True).eval()
     net.zero_residuals()
     torch.nn.init.normal_(net.guide.weight)
     output = tmp_path / f"small{format_.ending}"
@@ -94,7 +96,7 @@ def test_files_of_networks_with_a_coarse_pass(name, tmp_path):
 
 
 def replace_estimator(net, estimator):
-    other = create_model("msnet2d", **SMALL, estimator=estimator).eval()
+    other = build_model("msnet2d", **SMALL, estimator=estimator).eval()
     other.load_state_dict(net.state_dict())
     return other
 
@@ -220,11 +222,104 @@ def test_pairs_have_the_size_that_is_asked_for(tmp_path):
 
 
 def test_metadata_say_whose_the_weights_are():
-    config = create_model("msnet2d").config
-    arguments = {"precision": "fp32", "size": None}
-    assert describe(config, "msnet2d", embedded=True, **arguments)["licence"] == "Apache-2.0"
-    assert describe(config, "msnet2d", embedded=False, **arguments)["licence"] != "Apache-2.0"
-    assert describe(config, "msnet2d", embedded=True, **arguments)["smallest_width"] == "208"
+    net = build_model("msnet2d")
+    arguments = {"precision": "fp32", "size": None, "min_width": 208}
+    assert describe(net, "msnet2d", embedded=True, **arguments)["licence"] == "Apache-2.0"
+    assert describe(net, "msnet2d", embedded=False, **arguments)["licence"] != "Apache-2.0"
+    assert describe(net, "msnet2d", embedded=True, **arguments)["smallest_width"] == "208"
+
+
+class Direct(StereoModel):
+    """A network without scores whose graph has sizes in it, and whose input is no ImageNet's."""
+
+    size_multiple = 8
+    preprocessing = Preprocessing(mean=(100, 110, 120), std=(50, 50, 50), scale=255)
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.conv = nn.Conv2d(6, 1, 3, stride=2, padding=1)
+
+    def forward(self, left, right):
+        x = self.conv(torch.cat((left, right), dim=1))
+        x = nn.functional.interpolate(x, size=left.shape[-2:], mode="bilinear")
+        return Prediction(10 + x.squeeze(1))
+
+
+def direct():
+    torch.manual_seed(0)
+    return Direct(build_model("msnet2d", **SMALL).config).eval()
+
+
+@pytest.mark.parametrize("name", ["onnx", "openvino", "pt2"])
+def test_any_network_is_exported_at_one_size(name, tmp_path):
+    format_ = needs(name)
+    net, output = direct(), tmp_path / f"direct{format_.ending}"
+    done = export_model(name, net, output, model="direct", size=SIZE)
+    assert done.mean <= 1e-4 and not done.any_size
+    pair = torch.rand(2, 1, 3, *SIZE)
+    found = format_.open(output)(*pair)
+    torch.testing.assert_close(found, expected(net, *pair), rtol=0, atol=1e-3, check_stride=False)
+    metadata = format_.read_metadata(output)
+    assert metadata["size"] == "32 x 64 (height x width)"
+    assert (metadata["scale"], metadata["mean"]) == ("255", "100, 110, 120")
+
+
+@pytest.mark.parametrize("kind", ["msnet", "direct"])
+def test_an_exported_onnx_file_is_an_engine_without_options(kind, net, tmp_path):
+    needs("onnx")
+    net, output = (net if kind == "msnet" else direct()), tmp_path / "net.onnx"
+    export_model("onnx", net, output, model=kind, size=SIZE)
+    engine = OnnxFileEngine(f"onnx:{output}")
+    assert engine.max_disparity == net.max_disparity
+    assert engine.fixed_size == (None if kind == "msnet" else SIZE)
+    assert engine.size_multiple == (16 if kind == "msnet" else 1)
+    pair = torch.rand(2, 1, 3, *SIZE)
+    found = engine(*map(engine.preprocessing, pair)).disparity
+    torch.testing.assert_close(found, expected(net, *pair), rtol=0, atol=1e-3)
+    engine(*torch.rand(2, 1, 3, 16, 24))  # narrower than the graph takes: padded
+
+
+def test_the_network_stays_as_it_was(net, tmp_path):
+    net.train()
+    modes = [module.training for module in net.modules()]
+    try:
+        export_model("pt2", net, tmp_path / "small.pt2", model="small", size=SIZE)
+        assert [module.training for module in net.modules()] == modes
+        assert all(weight.requires_grad for weight in net.parameters())
+    finally:
+        net.eval()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_network_on_a_gpu_is_exported_from_there(tmp_path):
+    net = direct().cuda()
+    export_model("pt2", net, tmp_path / "small.pt2", model="small", size=SIZE)
+    assert next(net.parameters()).is_cuda
+
+
+def test_a_folder_is_never_replaced(net, tmp_path, monkeypatch):
+    monkeypatch.setitem(FORMATS, "wrong", Wrong())
+    kept = tmp_path / "net.bin" / "kept"
+    kept.parent.mkdir()
+    kept.write_text("work of years")
+    with pytest.raises(InputError, match=r"net\.bin is a folder, and stays"):
+        export_model("wrong", net, kept.parent, model="small", size=SIZE)
+    assert kept.read_text() == "work of years"
+
+
+def test_nor_is_one_with_the_name_of_a_file_beside(net, tmp_path, monkeypatch):
+    class Right(Wrong):
+        def open(self, path):
+            return lambda left, right: expected(net, left, right)
+
+    monkeypatch.setitem(FORMATS, "wrong", Right())
+    kept = tmp_path / "other" / "kept"
+    kept.parent.mkdir()
+    kept.write_text("work of years")
+    with pytest.raises(InputError, match="other is a folder, and stays"):
+        export_model("wrong", net, tmp_path / "net.bin", model="small", size=SIZE)
+    assert [file.name for file in tmp_path.iterdir()] == ["other"]
+    assert kept.read_text() == "work of years"
 
 
 def test_command(msnet, net, tmp_path):

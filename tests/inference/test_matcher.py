@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
-from mobilestereonet.engines.torch import TorchRuntime
+from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.inference import load_pair
 from mobilestereonet.weights import embedded
 
@@ -241,7 +241,7 @@ def test_threads_are_the_refinements_too(net, monkeypatch):
     monkeypatch.setattr("mobilestereonet.inference.matcher.refine_disparity", refine)
     before = torch.get_num_threads()
     for threads in (before + 1, None):
-        StereoMatcher(TorchRuntime(net, threads=threads), refine=True)(*random_pair(16, 32))
+        StereoMatcher(TorchEngine(net, threads=threads), refine=True)(*random_pair(16, 32))
     assert seen == [before + 1, before]
 
 

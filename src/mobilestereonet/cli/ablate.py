@@ -51,7 +51,6 @@ def ablate(
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models
     from mobilestereonet.settings import parse_assignments
-    from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import get_recipe, override
 
     values = parse_assignments(assignments or [])
@@ -62,7 +61,6 @@ def ablate(
     chosen = override(get_recipe(recipe), values)
     names = [model.strip() for model in models.split(",")] if models else table_models(table)
     names = list(dict.fromkeys(names))
-    keep_freed_memory()
     rows = []
     for row in run(
         names,

@@ -44,7 +44,7 @@ def batch(
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
     model: Model = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
@@ -83,7 +83,6 @@ def batch(
     cpus = threads or 1
     if ray is not None and model != "sgbm":
         threads = cpus  # a worker shares its machine
-        runtime = "torch" if runtime == "auto" else runtime  # one engine for all of them
     engine = engine_options(model, runtime, precision, threads, device, refine)
     make_matcher = partial(
         StereoMatcher.from_pretrained, model, weights=weights and weights.absolute(), **engine

@@ -16,7 +16,7 @@ def demo(
     ),
     model: Model = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",

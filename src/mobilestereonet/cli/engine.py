@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
+
+if TYPE_CHECKING:
+    from mobilestereonet.nets.model import StereoModel
 
 Model: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="Network; sgbm, too, where pairs are matched. Default: msnet2d, or what the "
-        "weights hold."
+        help="Network; sgbm and onnx:FILE, too, where pairs are matched. Default: msnet2d, or "
+        "what the weights hold."
     ),
 ]
 Weights: TypeAlias = Annotated[
@@ -20,8 +23,7 @@ Weights: TypeAlias = Annotated[
 Runtime: TypeAlias = Annotated[
     str,
     typer.Option(
-        help="Engine: torch, onnxruntime, openvino, or auto (the fastest by the last msnet bench "
-        "of this network, else torch)."
+        help="Engine: torch, onnxruntime or openvino; msnet bench tells which one is the fastest."
     ),
 ]
 Precision: TypeAlias = Annotated[
@@ -57,8 +59,9 @@ def engine_options(
     """What `StereoMatcher.from_pretrained` takes of these options for a model.
 
     Raises:
-        InputError: If the model is sgbm, which has an engine of its own, and one is chosen.
+        InputError: If the model runs in an engine of its own, and another one is chosen.
     """
+    from mobilestereonet.engines.choose import is_standalone
     from mobilestereonet.errors import InputError
 
     options = {
@@ -68,10 +71,37 @@ def engine_options(
         "device": device,
         "refine": refine,
     }
-    if model != "sgbm":
+    if not is_standalone(model):
         return options
+    kept = {} if model == "sgbm" else {"threads": threads, "device": device, "refine": refine}
     defaults = ("auto", "torch", "fp32", None)  # of one command or the other
-    chosen = [f"--{name}" for name, value in options.items() if value not in defaults]
+    chosen = [
+        f"--{name}" for name, value in options.items() if value not in defaults and name not in kept
+    ]
     if chosen:
-        raise InputError(f"sgbm runs in OpenCV alone: leave {', '.join(chosen)} out")
-    return {}
+        library = "OpenCV" if model == "sgbm" else "ONNX Runtime"
+        raise InputError(f"{model} runs in {library} alone: leave {', '.join(chosen)} out")
+    return kept
+
+
+def open_network(model: str | None, weights: Path | None) -> tuple[str, StereoModel]:
+    """Network with trained weights that these options of a command ask for, and its name.
+
+    Args:
+        model: Model by name, file, folder or "org/name"; by default `DEFAULT_MODEL`, or what
+            ``weights`` holds.
+        weights: Weights file; ``model`` is then the name of its network.
+
+    Raises:
+        FileNotFoundError: If there are no such weights.
+        InputError: If the file is corrupted, or holds another network than ``model``.
+    """
+    from mobilestereonet.inference import DEFAULT_MODEL
+    from mobilestereonet.nets import model_name
+    from mobilestereonet.weights import load_model
+
+    if weights is None:
+        model = model or DEFAULT_MODEL
+        return Path(model).name, load_model(model)
+    net = load_model(weights, model=model)
+    return model or model_name(net.config), net

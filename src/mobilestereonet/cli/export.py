@@ -35,26 +35,28 @@ def export(
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="For int8: folder with left/*.png and right/*.png, instead of ours."),
+        typer.Option(
+            help="For int8: folder with left/*.png and right/*.png, instead of own scenes."
+        ),
     ] = None,
     list_: Annotated[
         bool, typer.Option("--list", help="List the formats and what is installed.")
     ] = False,
 ) -> None:
-    """Write a network as a file for another runtime; it is run and compared with torch first."""
+    """Export a network to a file for another runtime; it is run and compared with torch first."""
     if list_:
         _print_formats()
         return
     if format_ is None:
         raise InputError("which format? `msnet export --list` shows them")
 
+    from mobilestereonet.cli.engine import open_network
     from mobilestereonet.export import export_model, find_format
-    from mobilestereonet.inference.matcher import pretrained_net
 
     found = find_format(format_)
     precision = precision or found.precisions[0]
     found.check(precision)
-    name, net = pretrained_net(model, weights)
+    name, net = open_network(model, weights)
     default = name if precision == found.precisions[0] else f"{name}-{precision}"
     written = export_model(
         format_,

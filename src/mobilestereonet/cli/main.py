@@ -27,6 +27,7 @@ from mobilestereonet.cli.train import train
 from mobilestereonet.cli.video import video
 from mobilestereonet.cli.web import web
 from mobilestereonet.errors import InputError
+from mobilestereonet.memory import keep_freed_memory
 
 app = typer.Typer(
     name="msnet",
@@ -64,6 +65,7 @@ def main() -> None:
         warnings.simplefilter("ignore", of_libraries)
     # The message alone, without the line of code that gave it.
     warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
+    keep_freed_memory()
     try:
         app()
     except (InputError, OSError) as error:

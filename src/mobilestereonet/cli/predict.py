@@ -17,7 +17,7 @@ def predict(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
     model: Model = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",

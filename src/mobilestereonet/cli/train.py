@@ -72,7 +72,6 @@ def train(
     after its current step, with a checkpoint.
     """
     from mobilestereonet.settings import parse_assignments
-    from mobilestereonet.training.memory import keep_freed_memory
     from mobilestereonet.training.recipe import default_recipe, get_recipe, override, read_recipe
     from mobilestereonet.training.run import train as run
 
@@ -87,7 +86,6 @@ def train(
         chosen = default_recipe(str(values.get("model", "msnet2d")))
     paths = {"root": root, "textures": textures, "weights": weights}
     values |= {name: str(path) for name, path in paths.items() if path is not None}
-    keep_freed_memory()
     run(
         override(chosen, values),
         folder,

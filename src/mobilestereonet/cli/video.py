@@ -47,7 +47,7 @@ def video(
     ] = 10.0,
     model: Model = None,
     weights: Weights = None,
-    runtime: Runtime = "auto",
+    runtime: Runtime = "torch",
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",

@@ -35,7 +35,7 @@ def web(
         raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
 
     from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.engines.choose import AUTO, RUNTIMES
+    from mobilestereonet.engines.choose import ENGINES
     from mobilestereonet.engines.sgbm import StereoSGBM
     from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
     from mobilestereonet.web.examples import examples
@@ -52,7 +52,7 @@ def web(
     others = [name for name in embedded_models() if name != DEFAULT_MODEL]
     offer = Offer(
         models=[DEFAULT_MODEL, *others, StereoSGBM.name],
-        runtimes=[name for name in RUNTIMES if name == AUTO or find_spec(name)],
+        runtimes=[name for name in ENGINES if find_spec(name)],
         matcher=matcher,
         examples=examples(),
         limits=Limits(max_megabytes, round(max_megapixels * 1e6), queue),

@@ -1,1 +1,1 @@
-"""Engines that run a network, behind one protocol."""
+"""Inference engines: what runs networks, behind one protocol."""

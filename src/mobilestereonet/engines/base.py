@@ -1,71 +1,76 @@
-"""The one thing that every engine can do."""
+"""Protocol implemented by all inference engines."""
 
 from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
+
+from mobilestereonet.nets.model import Prediction, Preprocessing
 
 
 @runtime_checkable
-class Runtime(Protocol):
-    """Turns a prepared pair into a disparity map.
+class Engine(Protocol):
+    """Matches batches of preprocessed pairs.
 
-    What "prepared" means is said by two attributes, so that whoever feeds an engine needs no
-    list of engines: `mobilestereonet.inference` normalises and pads exactly as they say.
+    Its attributes say what "preprocessed" means, so that whoever feeds an engine needs no list of
+    engines: `mobilestereonet.inference` preprocesses and pads exactly as they say.
     """
 
     @property
     def name(self) -> str:
-        """What the command line calls the engine, such as ``sgbm``."""
+        """Name on the command line, such as ``sgbm``."""
         ...
 
     @property
     def precision(self) -> str:
-        """What it computes in, such as ``fp32``."""
+        """Number format of the computation, such as ``fp32``."""
         ...
 
     @property
-    def normalised(self) -> bool:
-        """True: takes views with ImageNet's mean and standard deviation; False: RGB in 0..1."""
+    def device(self) -> torch.device:
+        """PyTorch's device on which results lie; views elsewhere are moved."""
         ...
 
     @property
-    def multiple(self) -> int:
-        """Height and width must be multiples of this; 1 takes any size."""
+    def threads(self) -> int | None:
+        """Threads on a CPU; None leaves them to the engine."""
+        ...
+
+    @property
+    def preprocessing(self) -> Preprocessing:
+        """How RGB views in 0..1 become the engine's input."""
+        ...
+
+    @property
+    def size_multiple(self) -> int:
+        """Height and width of the views must be multiples of this; 1 takes any size."""
         ...
 
     @property
     def max_disparity(self) -> int:
-        """Disparities below this are searched, in px."""
+        """Disparities 0 .. max_disparity - 1 are searched, in pixels."""
         ...
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        """Match the views.
-
-        Args:
-            left: Left views, (B, 3, H, W) float, prepared as the attributes say.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
-        """
+    @property
+    def has_confidence(self) -> bool:
+        """Whether predictions have a confidence when it is asked for."""
         ...
 
-
-@runtime_checkable
-class ConfidentRuntime(Runtime, Protocol):
-    """An engine that tells how sure it is as well."""
-
-    def with_confidence(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-        """Match the views.
+    def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
+        """Match a batch of pairs.
 
         Args:
-            left: Left views, (B, 3, H, W) float, prepared as the attributes say.
-            right: Right views, the same.
+            left: Left views, (B, 3, H, W) float, preprocessed, H and W such multiples.
+            right: Right views, likewise.
+            confidence: Predict the confidence as well, where the engine has one.
 
         Returns:
-            Disparity of the left views in px, and its confidence in 0..1 (see
-            `mobilestereonet.nets.confidence`), both (B, H, W) float32 on the device of ``left``.
+            Disparity of the left views in pixels, and confidence in 0..1 or None, (B, H, W)
+            float32 on ``device``.
+
+        Raises:
+            InputError: If the shapes do not fit.
         """
         ...

@@ -1,9 +1,10 @@
-"""What the engines of converted graphs share: the cache of conversions."""
+"""Common base of the engines that convert a network first, with a cache of conversions."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
+import threading
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -12,42 +13,61 @@ from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import platformdirs
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet import accelerate, engines, nets
-from mobilestereonet.accelerate.inference import inference_form
+from mobilestereonet.accelerate import ExportableNet, accelerate
 from mobilestereonet.atomic import write_atomically
-from mobilestereonet.engines.scores import ScoresRuntime
+from mobilestereonet.engines.network import NetworkEngine, regress
+from mobilestereonet.engines.tracing import Size, exportable
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 
-Scores = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
-"""Left and right view (1, 3, H, W) -> scores (1, D, H / 4, W / 4)."""
+CONVERSION_VERSION = 1
+"""Part of every conversion's key in the cache.
+
+To be raised when the conversion of an unchanged network changes: by `accelerate`'s form for export,
+or by an engine's ``_convert``.
+"""
+
+Run = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+"""Left and right view (1, 3, H, W) -> scores (1, D, H / s, W / s), or disparity (1, H, W)."""
 
 
-class ConvertedRuntime(ScoresRuntime):
-    """Runs a network as a converted `ExportableNet`, on the CPU, at any size.
+class ConvertedEngine(NetworkEngine):
+    """Runs a network that was converted for another library, one pair after the other.
 
-    The engine computes the scores, and PyTorch the soft-argmax, which it does some rows at a
-    time: faster than the engines, and without tensors at full resolution. Views narrower than
-    `ExportableNet` takes, hardly wider than the disparity range, go through PyTorch altogether.
+    Of a `VolumeModel` the library computes the scores, and PyTorch regresses from them some rows
+    at a time: faster, and without tensors at full resolution.
+
+    A network whose graph serves any size is converted once. Others are converted for each size of
+    views that comes. Views narrower than the graph takes, hardly wider than the disparity range,
+    go through PyTorch altogether.
+
+    Args:
+        net: The network, in any mode and on any device; it stays as it is.
+        precision: One of `precisions`. Disparities are regressed from scores in float32 always.
+        threads: Threads on a CPU; None leaves them to the library.
+        device: Where the library computes: "cpu", or as the engine's class says.
+        cache: Folder in which conversions are kept; by default in the user's cache folder of the
+            platform. One that cannot be written to is left alone. Networks that are defined
+            outside of this package are not kept, as their code may change.
+
+    Raises:
+        InputError: If the library is missing, or lacks the precision or the device.
 
     Attributes:
-        name: What the command line calls the engine, and its package.
-        extra: The extra of this package that installs it.
-        packages: What it needs, by the names of their modules.
-        precisions: What it can compute in.
+        extra: Extra of this package that installs the library.
+        packages: Modules that the engine needs.
+        target: The library's name of the device.
     """
 
-    name: ClassVar[str]
     extra: ClassVar[str]
     packages: ClassVar[tuple[str, ...]]
-    precisions: ClassVar[tuple[str, ...]]
 
     def __init__(
         self,
@@ -55,77 +75,142 @@ class ConvertedRuntime(ScoresRuntime):
         *,
         precision: str = "fp32",
         threads: int | None = None,
+        device: str | torch.device = "cpu",
         cache: str | Path | None = None,
     ) -> None:
-        """Convert the network, or load what an earlier conversion left in the cache.
-
-        Args:
-            net: The network, with any weights, in any mode.
-            precision: One of ``precisions``. The soft-argmax is computed in float32 always.
-            threads: Threads; None leaves it to the engine.
-            cache: Folder in which conversions are kept; by default in the user's cache folder of
-                the platform. One that cannot be written to is left alone.
-
-        Raises:
-            InputError: If the engine's package is missing, it lacks the precision, or ``threads``
-                is below 1.
-        """
         if not self.installed():
             raise InputError(
                 f'{self.name} is not installed: pip install "mobilestereonet[{self.extra}]"'
             )
-        if precision not in self.precisions:
+        self.target, results = self.find_device(device)
+        if precision not in self.precisions(self.target):
             raise InputError(
-                f"{self.name} computes in {' or '.join(self.precisions)}, not in {precision!r}"
+                f"{self.name} computes in {' or '.join(self.precisions(self.target))} on "
+                f"{self.target}, not in {precision!r}"
             )
-        super().__init__(cast(VolumeModel, net), precision, threads)
+        super().__init__(net, precision, threads, results)
         self._net = copy.deepcopy(net).cpu().float().eval()
-        self._run = self._open(user_cache() if cache is None else Path(cache))
+        self._cache = user_cache() if cache is None else Path(cache)
+        network = self._exportable()
+        any_size = network.any_size and self._takes_any_size
+        self._min_width = network.min_width if any_size else None
+        self._graphs: dict[Size | None, Run] = {}
+        self._lock = threading.Lock()
+        if self._min_width is not None:
+            self._graph(None)
 
     @classmethod
     def installed(cls) -> bool:
-        """Whether the packages that it needs are there."""
+        """Whether the modules that the engine needs are there."""
         return all(find_spec(package) is not None for package in cls.packages)
 
+    @classmethod
+    @abstractmethod
+    def find_device(cls, device: str | torch.device) -> tuple[str, torch.device]:
+        """The library's name of a device, and PyTorch's device for results from there.
+
+        Raises:
+            InputError: If the library does not have it here; says what it has.
+        """
+
+    @classmethod
+    @abstractmethod
+    def precisions(cls, target: str) -> tuple[str, ...]:
+        """Number formats that the library computes in on one of its devices."""
+
+    def _predict(self, left: Tensor, right: Tensor, confidence: bool) -> Iterator[Prediction]:
+        if isinstance(self._inference_net, VolumeModel):
+            for scores in self._scores(left, right):
+                yield regress(self._inference_net, scores, confidence)
+        else:
+            for disparity in self._run(left, right):
+                yield Prediction(disparity)
+
     def _scores(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
-        """Scores of one pair after the other."""
+        return self._run(left, right)
+
+    def _run(self, left: Tensor, right: Tensor) -> Iterator[Tensor]:
+        """What the graph gives for one pair after the other."""
         self._net.check_views(left, right)
+        height, width = left.shape[-2:]
         for pair in zip(*(view.float().cpu().split(1) for view in (left, right)), strict=True):
-            if left.shape[-1] < self._net.max_disparity + self._net.size_multiple:
-                yield cast(VolumeModel, self._narrow_net).scores(*pair)
+            if self._min_width is not None and width < self._min_width:
+                yield self._run_in_torch(*pair)
             else:
-                yield torch.from_numpy(self._run(*(view.numpy() for view in pair)))
+                graph = self._graph((height, width) if self._min_width is None else None)
+                result = graph(*(view.contiguous().numpy() for view in pair))
+                yield torch.from_numpy(result).to(self.device)
+
+    def _run_in_torch(self, left: Tensor, right: Tensor) -> Tensor:
+        left, right = left.to(self.device), right.to(self.device)
+        net = self._inference_net
+        result = net.scores(left, right) if isinstance(net, VolumeModel) else net(left, right)[0]
+        assert isinstance(result, Tensor)
+        return result
 
     @cached_property
-    def _narrow_net(self) -> StereoModel:
-        return inference_form(self._net)
+    def _inference_net(self) -> StereoModel:
+        """The network in PyTorch, for what the graph does not do."""
+        net = accelerate(copy.deepcopy(self._net).to(self.device), "inference")
+        assert isinstance(net, StereoModel)
+        return net
 
-    def _open(self, cache: Path) -> Scores:
-        path = cache / f"{self.name}-{self._key()}"
+    @property
+    def _takes_any_size(self) -> bool:
+        """Whether the library runs graphs of variable size on the device."""
+        return True
+
+    def _exportable(self) -> ExportableNet:
+        return exportable(self._net, scores=self.has_confidence)
+
+    def _graph(self, size: Size | None) -> Run:
+        """The graph for a size, or for any size: from memory, from the cache, or converted."""
+        with self._lock:
+            if size not in self._graphs:
+                self._graphs[size] = self._open(size)
+            return self._graphs[size]
+
+    def _open(self, size: Size | None) -> Run:
+        path = self._cache / f"{self.name}-{self._key(size)}"
+        kept = type(self._net).__module__.startswith("mobilestereonet.")
         with suppress(OSError):
-            content = path.read_bytes()
+            content = path.read_bytes() if kept else b""
             checksum, model = content[:_CHECKSUM_SIZE], content[_CHECKSUM_SIZE:]
             if checksum == _checksum(model):
                 return self._load(model)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the converters' own business
-            model = self._convert(self._net)
-        with suppress(OSError):
-            write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
-            _forget_old(cache, self.name)
+            try:
+                model = self._convert(self._exportable(), size)
+            except Exception as error:
+                reason = str(error).strip().split("\n")[0]
+                raise InputError(
+                    f"{self.name} cannot convert this network: {type(error).__name__}: {reason}: "
+                    "use engine torch"
+                ) from error
+        if kept:
+            with suppress(OSError):
+                write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
+                _forget_old(self._cache, self.name)
         return self._load(model)
 
-    def _key(self) -> str:
-        """Tells all that a conversion depends on: weights, code, versions, precision, machine."""
-        versions = [import_module(name).__version__ for name in ("torch", *self.packages)]
-        facts = (self._net.config, self.precision, self._machine(), versions)
+    def _key(self, size: Size | None) -> str:
+        """Digest of all that a conversion depends on."""
+        network = type(self._net)
+        facts = (
+            CONVERSION_VERSION,
+            f"{network.__module__}.{network.__qualname__}",
+            self._net.config,
+            self.precision,
+            self.target,
+            size,
+            self._machine(),
+            [import_module(name).__version__ for name in ("torch", *self.packages)],
+        )
         digest = hashlib.sha256(repr(facts).encode())
-        for room in (nets, accelerate, engines):
-            for path in sorted(Path(room.__path__[0]).glob("*.py")):
-                digest.update(path.read_bytes())
         for name, tensor in self._net.state_dict().items():
             digest.update(name.encode())
-            digest.update(tensor.cpu().reshape(-1).view(torch.uint8).numpy())
+            digest.update(tensor.reshape(-1).view(torch.uint8).numpy())
         return digest.hexdigest()[:32]
 
     def _machine(self) -> object:
@@ -133,12 +218,12 @@ class ConvertedRuntime(ScoresRuntime):
         return None
 
     @abstractmethod
-    def _convert(self, net: StereoModel) -> bytes:
-        """The network in the engine's form."""
+    def _convert(self, network: ExportableNet, size: Size | None) -> bytes:
+        """The network in the library's form, for a size, or for any if it is None."""
 
     @abstractmethod
-    def _load(self, model: bytes) -> Scores:
-        """Make the engine ready for what `_convert` gave."""
+    def _load(self, model: bytes) -> Run:
+        """Make the library ready to run what `_convert` gave."""
 
 
 def user_cache() -> Path:

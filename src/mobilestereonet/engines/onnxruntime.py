@@ -1,74 +1,148 @@
-"""ONNX Runtime as an engine."""
+"""ONNX Runtime as an inference engine, and the conversion to ONNX."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, cast
 
 import torch
 from numpy.typing import NDArray
 
-from mobilestereonet.accelerate.export import example_pair, exportable_form
-from mobilestereonet.engines.converted import ConvertedRuntime, Scores
-from mobilestereonet.nets import StereoModel
+from mobilestereonet.accelerate import ExportableNet
+from mobilestereonet.engines.converted import ConvertedEngine, Run
+from mobilestereonet.engines.devices import AUTO
+from mobilestereonet.engines.tracing import Size, example_pair
+from mobilestereonet.errors import InputError
 
 _OPSET = 20
+_CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 
 
-def to_onnx(net: StereoModel, *, rgb: bool = False, head: bool = True) -> Any:
+def to_onnx(network: ExportableNet, size: Size | None = None) -> Any:
     """Convert a network to ONNX in memory.
 
     Args:
-        net: The network, with any weights.
-        rgb: See `ExportableNet`.
-        head: See `ExportableNet`.
+        network: The network, in eval mode.
+        size: Height and width that the graph takes; None for a graph of any size, which the
+            network must have.
 
     Returns:
-        An ``onnx.ModelProto`` of any height and width, with inputs ``left`` and ``right`` and the
-        output ``disparity``.
+        An ``onnx.ModelProto`` with inputs ``left`` and ``right`` and the output ``disparity``.
     """
-    # It says that torchvision, whose operators the networks do without, is not installed.
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    program = torch.onnx.export(
-        exportable_form(net, rgb=rgb, scores=not head),
-        example_pair(net),
-        dynamo=True,
-        verbose=False,
-        input_names=["left", "right"],
-        output_names=["disparity"],
-        opset_version=_OPSET,
-    )
+    with _silent("torch.onnx"):
+        program = torch.onnx.export(
+            network,
+            example_pair(network, size),
+            dynamo=True,
+            verbose=False,
+            input_names=["left", "right"],
+            output_names=["disparity"],
+            opset_version=_OPSET,
+        )
     model = cast(Any, program).model_proto
-    # The graph serves any size, though it was traced at one: only its description says otherwise.
-    del model.graph.value_info[:]
-    for value in (*model.graph.input, *model.graph.output):
-        sizes = value.type.tensor_type.shape.dim[-2:]
-        for size, name in zip(sizes, ("height", "width"), strict=True):
-            size.dim_param = name
+    if size is None:
+        # The graph serves any size, though it was traced at one: only its description says
+        # otherwise.
+        del model.graph.value_info[:]
+        for value in (*model.graph.input, *model.graph.output):
+            sizes = value.type.tensor_type.shape.dim[-2:]
+            for dimension, name in zip(sizes, ("height", "width"), strict=True):
+                dimension.dim_param = name
     return model
 
 
-class ONNXRuntime(ConvertedRuntime):
-    """Runs a network in ONNX Runtime's CPU provider."""
+@contextmanager
+def _silent(logger: str) -> Iterator[None]:
+    """Errors of a logger only, for a while.
+
+    PyTorch warns that torchvision, whose operators the networks do without, is not installed.
+    """
+    found = logging.getLogger(logger)
+    before = found.level
+    found.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        found.setLevel(before)
+
+
+def find_provider(device: str | torch.device) -> tuple[str, torch.device]:
+    """ONNX Runtime's provider for a device, and PyTorch's device for results from there.
+
+    Args:
+        device: "cpu", "cuda", "cuda:1" ..., or "auto": a CUDA GPU if the installed ONNX Runtime
+            has a provider for it, else the CPU.
+
+    Raises:
+        InputError: If there is no provider for it.
+    """
+    import onnxruntime
+
+    providers = onnxruntime.get_available_providers()
+    name = str(device)
+    if name == AUTO:
+        name = "cuda" if _CUDA in providers and torch.cuda.is_available() else "cpu"
+    kind, _, index = name.partition(":")
+    if kind == "cpu":
+        return "cpu", torch.device("cpu")
+    if kind == "cuda" and (index or "0").isdigit() and _CUDA in providers:
+        gpu = f"cuda:{index or 0}"
+        return gpu, torch.device(gpu if torch.cuda.is_available() else "cpu")
+    raise InputError(
+        f"onnxruntime has no device {name!r} here: its providers are {', '.join(providers)} (a "
+        "GPU takes cuda and the package onnxruntime-gpu)"
+    )
+
+
+def open_session(model: bytes | Path, target: str, threads: int | None) -> Any:
+    """An ``onnxruntime.InferenceSession`` on one of `find_provider`'s devices."""
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # it warns of operators that it does not fold
+    options.intra_op_num_threads = threads or 0
+    providers: list[Any] = [_CPU]
+    if target != "cpu":
+        providers.insert(0, (_CUDA, {"device_id": int(target.partition(":")[2])}))
+    content = model if isinstance(model, bytes) else str(model)
+    session = onnxruntime.InferenceSession(content, options, providers)
+    if target != "cpu" and _CUDA not in session.get_providers():
+        raise InputError(
+            f"onnxruntime could not start on {target}: its CUDA libraries do not load here; use "
+            "device cpu, or engine torch"
+        )
+    return session
+
+
+class OnnxRuntimeEngine(ConvertedEngine):
+    """Runs a network in ONNX Runtime, on the CPU or a CUDA GPU ("cuda", "cuda:1" ...)."""
 
     name = "onnxruntime"
     extra = "onnx"
     packages = ("onnxruntime", "onnx", "onnxscript")
-    precisions = ("fp32",)
 
-    def _convert(self, net: StereoModel) -> bytes:
-        model: bytes = to_onnx(net, head=False).SerializeToString()
+    @classmethod
+    def find_device(cls, device: str | torch.device) -> tuple[str, torch.device]:
+        """See `find_provider`."""
+        return find_provider(device)
+
+    @classmethod
+    def precisions(cls, target: str) -> tuple[str, ...]:
+        """Float32 alone."""
+        return ("fp32",)
+
+    def _convert(self, network: ExportableNet, size: Size | None) -> bytes:
+        model: bytes = to_onnx(network, size).SerializeToString()
         return model
 
-    def _load(self, model: bytes) -> Scores:
-        import onnxruntime
+    def _load(self, model: bytes) -> Run:
+        session = open_session(model, self.target, self.threads)
 
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3  # it warns of operators that it does not fold
-        options.intra_op_num_threads = self.threads or 0
-        session = onnxruntime.InferenceSession(model, options, ["CPUExecutionProvider"])
-
-        def scores(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+        def run(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
             return cast(NDArray[Any], session.run(None, {"left": left, "right": right})[0])
 
-        return scores
+        return run

@@ -1,4 +1,4 @@
-"""OpenCV's semi-global block matching: the classical yardstick, a model name like any other."""
+"""OpenCV's semi-global block matching, the classical baseline, as an inference engine."""
 
 from __future__ import annotations
 
@@ -10,58 +10,49 @@ from torch import Tensor
 
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.model import RGB, Prediction
 
-_BLOCK = 5
+_BLOCK_PX = 5
 
 
 class StereoSGBM:
-    """Semi-global matching (Hirschmueller, 2008) as OpenCV has it, dense.
+    """Semi-global matching (Hirschmueller, 2008) as OpenCV has it, made dense.
 
     Both views are padded on the left by the disparity range, so that the left border gets a
     match, too. Pixels without one are filled along the row with the smaller neighbour, which is
     the one farther away.
+
+    Args:
+        max_disparity: Disparities searched, in pixels, a multiple of 16.
+
+    Raises:
+        InputError: If it is not.
     """
 
     name = "sgbm"
     precision = "int16"
-    normalised = False
-    multiple = 1
+    device = torch.device("cpu")
+    threads = None
+    preprocessing = RGB
+    size_multiple = 1
+    has_confidence = False
 
     def __init__(self, max_disparity: int = 192) -> None:
-        """Set the range.
-
-        Args:
-            max_disparity: Disparities searched, in px, a multiple of 16.
-
-        Raises:
-            InputError: If it is not.
-        """
         if max_disparity <= 0 or max_disparity % 16:
             raise InputError(
                 f"sgbm: max_disparity must be a positive multiple of 16, got {max_disparity}"
             )
         self.max_disparity = max_disparity
 
-    def __call__(self, left: Tensor, right: Tensor) -> Tensor:
-        """Match the views.
-
-        Args:
-            left: Left views, (B, 3, H, W), RGB in 0..1.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
-
-        Raises:
-            InputError: If the shapes do not fit.
-        """
+    def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
+        """Match a batch of pairs, RGB in 0..1, see `Engine`; there is no confidence."""
         if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
             raise InputError(
                 "sgbm takes two views of shape (B, 3, H, W), got "
                 f"{tuple(left.shape)} and {tuple(right.shape)}"
             )
         maps = [self._match(to_picture(a), to_picture(b)) for a, b in zip(left, right, strict=True)]
-        return torch.from_numpy(np.stack(maps)).to(left.device)
+        return Prediction(torch.from_numpy(np.stack(maps)))
 
     def _match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
         padded = [
@@ -77,9 +68,9 @@ class StereoSGBM:
         return cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=self.max_disparity,
-            blockSize=_BLOCK,
-            P1=8 * 3 * _BLOCK**2,
-            P2=32 * 3 * _BLOCK**2,
+            blockSize=_BLOCK_PX,
+            P1=8 * 3 * _BLOCK_PX**2,
+            P2=32 * 3 * _BLOCK_PX**2,
             disp12MaxDiff=1,
             preFilterCap=63,
             uniquenessRatio=10,

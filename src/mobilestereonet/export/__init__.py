@@ -1,12 +1,12 @@
-"""Files for other runtimes and devices; each is run and compared before it is called done."""
+"""Export of networks to files for other runtimes; each file is run and compared first."""
 
 from mobilestereonet.export.base import Format, Job
-from mobilestereonet.export.export import FORMATS, TOLERANCE, Export, export_model, find_format
+from mobilestereonet.export.export import FORMATS, TOLERANCE_PX, Export, export_model, find_format
 from mobilestereonet.export.pairs import calibration_pairs
 
 __all__ = [
     "FORMATS",
-    "TOLERANCE",
+    "TOLERANCE_PX",
     "Export",
     "Format",
     "Job",

@@ -1,4 +1,4 @@
-"""What every file format must be able to do."""
+"""Interface of every file format that networks are exported to."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from mobilestereonet.accelerate import ExportableNet
+from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoModel
 
 Pair = tuple[Tensor, Tensor]
 """Left and right view, (1, 3, H, W) float32, RGB in 0..1."""
@@ -26,36 +27,37 @@ Run = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Job:
-    """What to convert, and how.
+    """One conversion: what is converted, and how.
 
     Attributes:
-        net: The network, in eval mode.
-        size: Height and width that a file of fixed size takes; others are traced with it.
+        network: The network, which takes RGB in 0..1.
+        size: Height and width that the file takes; None if it takes any.
         precision: One of the format's ``precisions``.
         metadata: What the file says about itself.
         calibration: Pairs that show a quantiser what values to expect; only with "int8".
     """
 
-    net: StereoModel
-    size: tuple[int, int]
+    network: ExportableNet
+    size: Size | None
     precision: str
     metadata: Mapping[str, str]
     calibration: Sequence[Pair] = field(default=())
 
 
 class Format(ABC):
-    """A file format that a network can be exported to.
+    """File format that a network can be exported to.
 
-    All files take two inputs, ``left`` and ``right``, RGB in 0..1, and normalise them themselves.
+    All files take two inputs, ``left`` and ``right``, RGB in 0..1, and preprocess them themselves.
 
     Attributes:
-        name: What the command line calls it.
-        ending: How its files end.
+        name: Name on the command line.
+        ending: End of its files' names, such as ".onnx".
         extra: The extra of this package that installs what it needs.
-        packages: What it needs, by the names of the package registry.
-        precisions: What it can be asked for, the default first.
-        dynamic: Whether the files take any height and width.
-        note: What a user of the format should know, in a line.
+        packages: Distributions that it needs.
+        precisions: Number formats of its files, the default first.
+        dynamic: Whether the files of networks whose graph allows it take any height and width.
+        conv3d_as_2d: Whether its runtimes need 3D layers written as 2D layers.
+        note: Advice to users of the format, in a line.
     """
 
     name: ClassVar[str]
@@ -64,6 +66,7 @@ class Format(ABC):
     packages: ClassVar[tuple[str, ...]]
     precisions: ClassVar[tuple[str, ...]] = ("fp32",)
     dynamic: ClassVar[bool] = False
+    conv3d_as_2d: ClassVar[bool] = False
     note: ClassVar[str] = ""
 
     @abstractmethod
@@ -76,7 +79,11 @@ class Format(ABC):
 
     @abstractmethod
     def read_metadata(self, path: Path) -> dict[str, str]:
-        """What a file says about itself."""
+        """Texts by key that `describe` gave and the file holds."""
+
+    def replaces(self, path: Path) -> bool:
+        """Whether a folder is an earlier file of the format, which a new one may replace."""
+        return False
 
     def versions(self, precision: str = "fp32") -> dict[str, str | None]:
         """Installed versions of what a precision needs; None where a package is missing."""

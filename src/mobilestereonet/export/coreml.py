@@ -1,4 +1,4 @@
-"""Core ML, for Apple's devices."""
+"""Export to Core ML, for Apple's devices."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from mobilestereonet.export.pt2 import exported
 
 
 class CoreML(Format):
-    """An ML program in an ``.mlpackage`` folder."""
+    """ML program in an ``.mlpackage`` folder."""
 
     name = "coreml"
     ending = ".mlpackage"
     extra = "coreml"
     packages = ("coremltools",)
     precisions = ("fp16", "fp32")
+    conv3d_as_2d = True
     note = "fixed size; converted only: Core ML runs on Apple's devices alone"
 
     def write(self, job: Job, path: Path) -> None:
@@ -36,7 +37,11 @@ class CoreML(Format):
         model.save(str(path))
 
     def open(self, path: Path) -> None:
-        """There is nothing to run it with."""
+        """None: there is nothing to run it with."""
+
+    def replaces(self, path: Path) -> bool:
+        """Whether a folder is an ``.mlpackage``."""
+        return (path / "Manifest.json").is_file()
 
     def read_metadata(self, path: Path) -> dict[str, str]:
         """The user-defined metadata."""

@@ -1,4 +1,4 @@
-"""ExecuTorch: PyTorch's runtime for phones and boards, here with XNNPACK."""
+"""Export to ExecuTorch, PyTorch's runtime for phones and boards, with XNNPACK."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _PREFIX = "metadata_"
 
 
 class ExecuTorch(Format):
-    """A ``.pte`` program whose convolutions run in XNNPACK."""
+    """``.pte`` program whose convolutions run in XNNPACK."""
 
     name = "executorch"
     ending = ".pte"
     extra = "executorch"
     packages = ("executorch",)
+    conv3d_as_2d = True
     note = "fixed size; XNNPACK for convolutions, portable kernels for the rest"
 
     def write(self, job: Job, path: Path) -> None:

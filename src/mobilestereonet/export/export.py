@@ -1,4 +1,4 @@
-"""Convert, run, compare, and only then put the file in its place."""
+"""Export of a network: convert, run, compare, and only then put the file in its place."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
 
-import torch
 from torch import Tensor
 
 from mobilestereonet.data.motorcycle import motorcycle_views
-from mobilestereonet.engines.compare import times_in_turns
+from mobilestereonet.engines.benchmark import EagerNetwork
+from mobilestereonet.engines.tracing import Size, exportable
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.base import Format, Job, Pair, Run
 from mobilestereonet.export.coreml import CoreML
@@ -25,8 +25,8 @@ from mobilestereonet.export.onnx import ONNX
 from mobilestereonet.export.openvino import OpenVINO
 from mobilestereonet.export.pairs import calibration_pairs
 from mobilestereonet.export.pt2 import PT2
-from mobilestereonet.nets import StereoModel
-from mobilestereonet.nets.model import IMAGENET
+from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.timing import time_interleaved
 
 FORMATS: dict[str, Format] = {
     format_.name: format_
@@ -34,30 +34,33 @@ FORMATS: dict[str, Format] = {
 }
 """Every format by its name."""
 
-TOLERANCE = {"fp32": 1e-3, "fp16": 0.05, "int8": 0.5}
-"""Largest mean difference to torch, in px, with which an export succeeds."""
+TOLERANCE_PX = {"fp32": 1e-3, "fp16": 0.05, "int8": 0.5}
+"""Largest mean difference to PyTorch with which an export succeeds, by precision."""
 
-_RUNS = 3
+_TIMED_RUNS = 3
 
 
 @dataclass(frozen=True)
 class Export:
-    """A file that was written, run and compared.
+    """Record of a file that was written, run and compared.
 
     Attributes:
         path: The file.
         size: Bytes of the file and of what belongs to it.
-        versions: Of the packages that wrote it.
+        versions: Versions of the packages that wrote it.
+        any_size: Whether the file takes any height and width.
         shape: Height and width at which it was run.
-        mean: Mean absolute difference to torch in px; None, as the following, if it was not run.
-        largest: Largest difference in px.
+        mean: Mean absolute difference to PyTorch in pixels; None, as the following, if it was not
+            run.
+        largest: Largest difference in pixels.
         seconds: Median time of a run.
-        ratio: That time over that of torch, in fp32 and eager mode, in turns with it.
+        ratio: That time over that of PyTorch, in fp32 and eager mode, in turns with it.
     """
 
     path: Path
     size: int
     versions: dict[str, str | None]
+    any_size: bool
     shape: tuple[int, int]
     mean: float | None = None
     largest: float | None = None
@@ -73,19 +76,19 @@ def export_model(
     model: str,
     embedded: bool = False,
     precision: str | None = None,
-    size: tuple[int, int] = (256, 512),
+    size: Size = (256, 512),
     calibration: str | Path | None = None,
 ) -> Export:
     """Write a network as a file for another runtime.
 
-    The file is run in its own runtime on scikit-image's Motorcycle and compared with torch; only
+    The file is run in its own runtime on scikit-image's Motorcycle and compared with PyTorch; only
     if they agree it takes its place.
 
     Args:
         format_: One of `FORMATS`.
-        net: The network.
+        net: The network, in any mode and on any device; it stays as it is.
         output: The file to write.
-        model: What the network is called in the file's metadata.
+        model: Name of the network in the file's metadata.
         embedded: Whether its weights are those that come with the package, whose licence is known.
         precision: One of the format's; its first one by default.
         size: Height and width of a file of fixed size; others are compared at this one and at one
@@ -97,68 +100,95 @@ def export_model(
 
     Raises:
         InputError: If an argument is refused, a package is missing, the conversion fails, or the
-            file's disparity differs from torch's. ``output`` is then as it was.
+            file's disparity differs from PyTorch's. ``output`` is then as it was.
         FileNotFoundError: If the folder of pairs does not exist or holds none.
     """
-    format_of_file = find_format(format_)
-    precision = precision or format_of_file.precisions[0]
-    format_of_file.check(precision)
-    check_size(net, size)
+    kind = find_format(format_)
+    precision = precision or kind.precisions[0]
+    kind.check(precision)
     output = Path(output)
-    if output.suffix != format_of_file.ending:
-        raise InputError(f"{output}: a file for {format_} must end in {format_of_file.ending}")
+    _check_output(output, kind)
     if calibration is not None and precision != "int8":
         raise InputError(f"calibration pairs are for precision int8, not {precision}")
+    network = exportable(net, rgb=True, conv3d_as_2d=kind.conv3d_as_2d)
+    min_width = network.min_width if network.any_size else net.size_multiple
+    check_size(net, size, min_width)
     pairs: tuple[Pair, ...] = ()
     if precision == "int8":
         pairs = tuple(calibration_pairs(size, None if calibration is None else Path(calibration)))
-    net = net.eval()
+    fixed = None if kind.dynamic and network.any_size else size
     metadata = describe(
-        net.config,
-        model,
-        embedded=embedded,
-        precision=precision,
-        size=None if format_of_file.dynamic else size,
+        net, model, embedded=embedded, precision=precision, size=fixed, min_width=min_width
     )
-    with _temporary(output) as path:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the converters' own business
-                format_of_file.write(Job(net, size, precision, metadata, pairs), path)
-            run = format_of_file.open(path)
-        except Exception as error:
-            reason = str(error).strip().split("\n")[0]
-            raise InputError(
-                f"{format_}: conversion failed: {type(error).__name__}: {reason}"
-            ) from error
+    with _temporary(output, kind) as path:
+        run = _convert(kind, Job(network, fixed, precision, metadata, pairs), path)
         export = Export(
             output,
             sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file()),
-            format_of_file.versions(precision),
+            kind.versions(precision),
+            fixed is None,
             size,
         )
-        if run is None:
-            return export
-        if format_of_file.dynamic:
-            multiple = net.config.size_multiple
-            larger = (size[0] + multiple, size[1] + 2 * multiple)
-            _compare(run, net, motorcycle_views(larger), format_, TOLERANCE[precision])
-        pair = motorcycle_views(size)
-        difference = _compare(run, net, pair, format_, TOLERANCE[precision])
-        seconds, torch_seconds = times_in_turns(
-            lambda: run(*pair), lambda: _reference(net, pair), repeats=_RUNS
-        )
-        return replace(
-            export,
-            mean=difference.mean().item(),
-            largest=difference.max().item(),
-            seconds=seconds,
-            ratio=seconds / torch_seconds,
-        )
+        return export if run is None else _compared(export, run, net, kind, precision)
+
+
+def _check_output(output: Path, kind: Format) -> None:
+    if output.suffix != kind.ending:
+        raise InputError(f"{output}: a file for {kind.name} must end in {kind.ending}")
+    if output.is_dir() and not kind.replaces(output):
+        raise InputError(f"{output} is a folder, and stays: give the name of a file")
+
+
+def _convert(kind: Format, job: Job, path: Path) -> Run | None:
+    """Write and open the file.
+
+    Raises:
+        InputError: If the format's converter or its runtime fails.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the converters' own business
+            kind.write(job, path)
+        return kind.open(path)
+    except Exception as error:
+        reason = str(error).strip().split("\n")[0]
+        raise InputError(
+            f"{kind.name}: conversion failed: {type(error).__name__}: {reason}"
+        ) from error
+
+
+def _compared(export: Export, run: Run, net: StereoModel, kind: Format, precision: str) -> Export:
+    """The export with how it compares with PyTorch.
+
+    Raises:
+        InputError: If they differ.
+    """
+    baseline = EagerNetwork(net)
+
+    def reference(left: Tensor, right: Tensor) -> Tensor:
+        return baseline(net.preprocessing(left), net.preprocessing(right)).disparity
+
+    tolerance = TOLERANCE_PX[precision]
+    if export.any_size:
+        height, width = export.shape
+        larger = motorcycle_views((height + net.size_multiple, width + 2 * net.size_multiple))
+        _difference(run(*larger), reference(*larger), kind.name, tolerance)
+    pair = motorcycle_views(export.shape)
+    difference = _difference(run(*pair), reference(*pair), kind.name, tolerance)
+    seconds, torch_seconds = time_interleaved(
+        lambda: run(*pair), lambda: reference(*pair), repeats=_TIMED_RUNS
+    )
+    return replace(
+        export,
+        mean=difference.mean().item(),
+        largest=difference.max().item(),
+        seconds=seconds,
+        ratio=seconds / torch_seconds,
+    )
 
 
 def find_format(name: str) -> Format:
-    """A format by its name.
+    """Format of a name.
 
     Raises:
         InputError: If there is none.
@@ -169,15 +199,19 @@ def find_format(name: str) -> Format:
 
 
 @contextmanager
-def _temporary(output: Path) -> Iterator[Path]:
+def _temporary(output: Path, kind: Format) -> Iterator[Path]:
     """A path of the same name in a new folder beside; what is there on success moves out."""
     folder = output.parent / f".{uuid4().hex[:12]}"
     folder.mkdir(parents=True)
     try:
         yield folder / output.name
         # What belongs to the file comes before it.
-        for path in sorted(folder.iterdir(), key=lambda path: path.name == output.name):
-            target = output.parent / path.name
+        written = sorted(folder.iterdir(), key=lambda path: path.name == output.name)
+        targets = [output.parent / path.name for path in written]
+        for target in targets:
+            if target.is_dir() and not kind.replaces(target):
+                raise InputError(f"{target} is a folder, and stays: choose another output")
+        for path, target in zip(written, targets, strict=True):
             if target.is_dir():
                 shutil.rmtree(target)
             path.replace(target)
@@ -185,14 +219,12 @@ def _temporary(output: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _reference(net: StereoModel, pair: Pair) -> Tensor:
-    with torch.inference_mode():
-        disparity: Tensor = net(*map(IMAGENET, pair)).disparity
-        return disparity
+def _difference(found: Tensor, expected: Tensor, name: str, tolerance: float) -> Tensor:
+    """Absolute differences of a file's disparity to PyTorch's, in pixels.
 
-
-def _compare(run: Run, net: StereoModel, pair: Pair, name: str, tolerance: float) -> Tensor:
-    expected, found = _reference(net, pair), run(*pair)
+    Raises:
+        InputError: If they are above the tolerance on average, or the shapes differ.
+    """
     if found.shape != expected.shape:
         raise InputError(
             f"{name}: the file gives {tuple(found.shape)} where torch gives "

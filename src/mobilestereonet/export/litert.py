@@ -1,7 +1,8 @@
-"""LiteRT, formerly TensorFlow Lite."""
+"""Export to LiteRT, formerly TensorFlow Lite."""
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import Any, cast
@@ -10,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.export import exportable_form
+from mobilestereonet.engines.tracing import example_pair
 from mobilestereonet.export.base import Format, Job, Run
 
 _METADATA = "mobilestereonet"
@@ -18,22 +19,24 @@ _FILE_IDENTIFIER = b"TFL3"
 
 
 class LiteRT(Format):
-    """A ``.tflite`` file with the signature left, right -> disparity."""
+    """``.tflite`` file with the signature left, right -> disparity."""
 
     name = "litert"
     ending = ".tflite"
     extra = "litert"
     packages = ("litert-torch", "ai-edge-litert")
+    conv3d_as_2d = True
     note = "fixed size"
 
     def write(self, job: Job, path: Path) -> None:
         """Convert; the metadata go into the file's own, as JSON under ``mobilestereonet``."""
         import litert_torch
 
-        graph = exportable_form(job.net, rgb=True, conv3d_as_2d=True)
-        _crop_transposed(graph)
-        left, right = torch.zeros(2, 1, 3, *job.size)
-        litert_torch.convert(graph, sample_kwargs={"left": left, "right": right}).export(str(path))
+        network = copy.deepcopy(job.network)
+        _crop_transposed(network)
+        left, right = example_pair(network, job.size)
+        views = {"left": left, "right": right}
+        litert_torch.convert(network, sample_kwargs=views).export(str(path))
         path.write_bytes(_describe(path.read_bytes(), json.dumps(dict(job.metadata))))
 
     def open(self, path: Path) -> Run:
@@ -56,7 +59,7 @@ class LiteRT(Format):
 
 
 class _CroppedTranspose(nn.Module):
-    """A transposed convolution of stride 2 without padding, then a crop.
+    """Transposed convolution of stride 2 without padding, then a crop.
 
     LiteRT's converter refuses an output padding; without padding there is one row and one column
     more at the beginning, and none is missing at the end.
@@ -70,8 +73,8 @@ class _CroppedTranspose(nn.Module):
         return F.conv_transpose2d(x, self.weight, self.bias, stride=2)[..., 1:, 1:]
 
 
-def _crop_transposed(graph: nn.Module) -> None:
-    for module in list(graph.modules()):
+def _crop_transposed(network: nn.Module) -> None:
+    for module in list(network.modules()):
         for name, child in module.named_children():
             if isinstance(child, nn.ConvTranspose2d):
                 setattr(module, name, _CroppedTranspose(child))

@@ -1,32 +1,38 @@
-"""What an exported file says about itself."""
+"""Metadata of exported files."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import mobilestereonet
+from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoModel
-from mobilestereonet.nets.model import IMAGENET
+from mobilestereonet.nets.model import StereoModel
 from mobilestereonet.weights import card, is_embedded
 
 
 def describe(
-    config: Any, model: str, *, embedded: bool, precision: str, size: tuple[int, int] | None
+    net: StereoModel,
+    model: str,
+    *,
+    embedded: bool,
+    precision: str,
+    size: Size | None,
+    min_width: int,
 ) -> dict[str, str]:
     """Everything that is needed to use a file without this package.
 
     Args:
-        config: The network's config.
-        model: What the network is called.
+        net: The network.
+        model: Name of the network.
         embedded: Whether the weights are those that come with the package.
-        precision: Precision of the file.
+        precision: Number format of the file.
         size: Height and width that the file takes; None if it takes any.
+        min_width: Smallest width in pixels that the network's graph takes.
 
     Returns:
         Texts by key.
     """
     known = embedded and is_embedded(model)
+    preprocessing = net.preprocessing
     return {
         "model": model,
         "package": f"mobilestereonet {mobilestereonet.__version__}",
@@ -35,36 +41,41 @@ def describe(
         "inputs": "left, right: rectified views, float32, (1, 3, height, width)",
         "colour_order": "RGB",
         "value_range": "0..1",
-        "normalisation": "inside the graph: (value - mean) / std per channel",
-        "mean": _numbers(IMAGENET.mean),
-        "std": _numbers(IMAGENET.std),
+        "normalisation": "inside the graph: (scale * value - mean) / std per channel",
+        "scale": str(preprocessing.scale),
+        "mean": _numbers(preprocessing.mean),
+        "std": _numbers(preprocessing.std),
         "size": "any" if size is None else "{} x {} (height x width)".format(*size),
-        "size_multiple": str(config.size_multiple),
-        "smallest_width": str(config.max_disparity + config.size_multiple),
+        "size_multiple": str(net.size_multiple),
+        "smallest_width": str(min_width),
         "padding": "above and on the right with the border's pixels; crop the disparity likewise",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
-        "disparity_range": f"0..{config.max_disparity - 1}",
+        "disparity_range": f"0..{net.max_disparity - 1}",
     }
 
 
-def check_size(net: StereoModel, size: tuple[int, int]) -> None:
-    """Check the height and width of an export.
+def check_size(net: StereoModel, size: Size, min_width: int) -> None:
+    """Check a height and width for a network.
+
+    Args:
+        net: The network.
+        size: Height and width.
+        min_width: Smallest width of its graph.
 
     Raises:
         InputError: If they are no positive multiples of the network's, or the width is too small.
     """
-    smallest, multiple = net.max_disparity + net.size_multiple, net.size_multiple
-    for name, value, least in zip(("height", "width"), size, (multiple, smallest), strict=True):
+    multiple = net.size_multiple
+    for name, value, least in zip(("height", "width"), size, (multiple, min_width), strict=True):
         if value < multiple or value % multiple:
             below = max(value // multiple * multiple, least)
             raise InputError(
                 f"{name} must be a multiple of {multiple}, got {value}: take {below} or "
                 f"{below + multiple}"
             )
-    if size[1] < smallest:
+    if size[1] < min_width:
         raise InputError(
-            f"width must be at least {smallest} for {net.config.max_disparity} disparities, "
-            f"got {size[1]}"
+            f"width must be at least {min_width} for {net.max_disparity} disparities, got {size[1]}"
         )
 
 

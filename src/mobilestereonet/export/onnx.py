@@ -1,4 +1,4 @@
-"""ONNX, checked with ONNX Runtime."""
+"""Export to ONNX, checked with ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mobilestereonet.engines.onnxruntime import to_onnx
+from mobilestereonet.engines.onnxruntime import open_session, to_onnx
 from mobilestereonet.export.base import INPUTS, OUTPUT, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
 
 
 class ONNX(Format):
-    """One file of any height and width, with its metadata as ``metadata_props``."""
+    """One ``.onnx`` file, with its metadata as ``metadata_props``."""
 
     name = "onnx"
     ending = ".onnx"
@@ -28,7 +28,7 @@ class ONNX(Format):
         """Convert, quantise where asked to, add the metadata."""
         import onnx
 
-        model = to_onnx(job.net, rgb=True)
+        model = to_onnx(job.network, job.size)
         if job.precision == "int8":
             nodes = list(model.graph.node)
             keep = float_nodes([(node.name, node.op_type) for node in nodes], "Resize", "Conv")
@@ -39,11 +39,7 @@ class ONNX(Format):
 
     def open(self, path: Path) -> Run:
         """Load into ONNX Runtime, on the CPU."""
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = torch.get_num_threads()
-        session = onnxruntime.InferenceSession(path, options, ["CPUExecutionProvider"])
+        session = open_session(path, "cpu", torch.get_num_threads())
 
         def run(left: Tensor, right: Tensor) -> Tensor:
             views = dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True))

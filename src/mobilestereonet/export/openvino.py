@@ -1,4 +1,4 @@
-"""OpenVINO's intermediate representation."""
+"""Export to OpenVINO's intermediate representation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _METADATA = "mobilestereonet"
 
 
 class OpenVINO(Format):
-    """``.xml`` and ``.bin`` of any height and width; the metadata are runtime information."""
+    """``.xml`` and ``.bin`` file, with the metadata as runtime information."""
 
     name = "openvino"
     ending = ".xml"
@@ -29,7 +29,7 @@ class OpenVINO(Format):
         """Convert, quantise where asked to, add the metadata."""
         import openvino
 
-        model = to_openvino(job.net, rgb=True)
+        model = to_openvino(job.network, job.size)
         if job.precision == "int8":
             nodes = [(op.get_friendly_name(), op.get_type_name()) for op in model.get_ordered_ops()]
             keep = float_nodes(nodes, "Interpolate", "Convolution")

@@ -1,4 +1,4 @@
-"""Pairs that calibrate a quantiser."""
+"""Stereo pairs that calibrate a quantiser."""
 
 from __future__ import annotations
 

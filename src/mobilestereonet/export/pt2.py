@@ -1,4 +1,4 @@
-"""torch.export's own file, ``.pt2``."""
+"""Export to torch.export's own file."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from mobilestereonet.accelerate.export import exportable_form
+from mobilestereonet.engines.tracing import example_pair
 from mobilestereonet.export.base import Format, Job, Run
 
 _METADATA = "metadata.json"
 
 
 class PT2(Format):
-    """For PyTorch without this package, and for AOTInductor."""
+    """``.pt2`` file for PyTorch without this package, and for AOTInductor."""
 
     name = "pt2"
     ending = ".pt2"
     extra = "export"
     packages = ("torch",)
+    conv3d_as_2d = True
     note = "torch.export.load, without this package"
 
     def write(self, job: Job, path: Path) -> None:
@@ -47,6 +48,5 @@ class PT2(Format):
 
 
 def exported(job: Job) -> torch.export.ExportedProgram:
-    """The network with the normalisation inside, as torch.export's graph of a fixed size."""
-    left, right = torch.zeros(2, 1, 3, *job.size)  # two tensors: one would be taken as one input
-    return torch.export.export(exportable_form(job.net, rgb=True, conv3d_as_2d=True), (left, right))
+    """Program of fixed size with the preprocessing inside, by torch.export."""
+    return torch.export.export(job.network, example_pair(job.network, job.size))

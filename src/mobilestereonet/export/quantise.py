@@ -1,15 +1,18 @@
-"""int8 by NNCF's post-training quantisation."""
+"""Quantisation to int8 after training, by NNCF."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mobilestereonet.engines.openvino import without_telemetry
 from mobilestereonet.export.base import INPUTS, Pair
 
 
 def float_nodes(nodes: Sequence[tuple[str, str]], upsampling: str, convolution: str) -> list[str]:
-    """Nodes that stay in float: from the last convolution, whose scores the soft-argmax reads.
+    """Names of the nodes that stay in float: from the scores that the soft-argmax reads on.
+
+    Without an upsampling it is the last convolution on.
 
     Args:
         nodes: Name and type of each node, in the order in which they run.
@@ -17,7 +20,8 @@ def float_nodes(nodes: Sequence[tuple[str, str]], upsampling: str, convolution: 
         convolution: Type of a convolution.
     """
     types = [kind for _, kind in nodes]
-    last_upsampling = len(types) - 1 - types[::-1].index(upsampling)
+    upsamplings = [index for index, kind in enumerate(types) if kind == upsampling]
+    last_upsampling = upsamplings[-1] if upsamplings else len(types)
     last_convolution = max(i for i in range(last_upsampling) if types[i] == convolution)
     return [name for name, _ in nodes[last_convolution:]]
 
@@ -38,10 +42,11 @@ def quantise(model: Any, pairs: Sequence[Pair], keep: Sequence[str]) -> Any:
     def feed(pair: Pair) -> Mapping[str, Any]:
         return {name: view.numpy() for name, view in zip(INPUTS, pair, strict=True)}
 
-    return nncf.quantize(
-        model,
-        nncf.Dataset(list(pairs), feed),
-        subset_size=len(pairs),
-        preset=nncf.QuantizationPreset.MIXED,
-        ignored_scope=nncf.IgnoredScope(names=list(keep)),
-    )
+    with without_telemetry():
+        return nncf.quantize(
+            model,
+            nncf.Dataset(list(pairs), feed),
+            subset_size=len(pairs),
+            preset=nncf.QuantizationPreset.MIXED,
+            ignored_scope=nncf.IgnoredScope(names=list(keep)),
+        )

@@ -7,18 +7,17 @@ import time
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mobilestereonet.data.images import to_picture
-from mobilestereonet.engines.base import ConfidentRuntime, Runtime
-from mobilestereonet.engines.choose import AUTO, open_runtime
-from mobilestereonet.engines.scores import use_threads
-from mobilestereonet.engines.sgbm import StereoSGBM
-from mobilestereonet.engines.torch import TorchRuntime
+from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.choose import open_engine, open_standalone
+from mobilestereonet.engines.threads import use_threads
+from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
@@ -26,7 +25,6 @@ from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.result import StereoResult
 from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
 from mobilestereonet.nets import StereoModel, model_name
-from mobilestereonet.nets.model import IMAGENET
 from mobilestereonet.weights import load_model
 
 DEFAULT_MODEL = "msnet2d"
@@ -41,7 +39,7 @@ class StereoMatcher:
 
     def __init__(
         self,
-        engine: StereoModel | Runtime,
+        engine: StereoModel | Engine,
         *,
         model: str | None = None,
         padding: tuple[int, int] | None = None,
@@ -75,13 +73,13 @@ class StereoMatcher:
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         if isinstance(engine, StereoModel):
             model = model or model_name(engine.config)
-            engine = TorchRuntime(engine)
-        if (confidence or refine) and not isinstance(engine, ConfidentRuntime):
+            engine = TorchEngine(engine)
+        if (confidence or refine) and not engine.has_confidence:
             raise InputError(
                 f"{engine.name} tells no confidence: leave out confidence, min-confidence and "
                 "refine; left-right works"
             )
-        self.runtime: Runtime = engine
+        self.runtime: Engine = engine
         self.model = model or engine.name
         self.padding = padding
         self.tile = tile
@@ -95,7 +93,7 @@ class StereoMatcher:
         model: str | None = None,
         *,
         weights: str | Path | None = None,
-        runtime: str = AUTO,
+        runtime: str = "torch",
         padding: tuple[int, int] | None = None,
         tile: tuple[int, int] | Literal["auto"] | None = "auto",
         confidence: bool = False,
@@ -109,7 +107,7 @@ class StereoMatcher:
             model: Name of a model whose weights come with the package, or "sgbm" (OpenCV's
                 semi-global matching). By default "msnet2d", or what ``weights`` holds.
             weights: File to read instead: ours, or a checkpoint of the authors.
-            runtime: Engine that runs the network: "auto", "torch", "onnxruntime" or "openvino".
+            runtime: Engine that runs the network: "torch", "onnxruntime" or "openvino".
             padding: See `StereoMatcher`.
             tile: Likewise.
             confidence: Likewise.
@@ -117,7 +115,7 @@ class StereoMatcher:
             refine: Likewise; by default where the network's estimator is "mode", as it is with our
                 weights, and not with the authors'.
             **options: For the engine: ``precision``, ``threads``, ``device`` and ``cache`` of
-                `open_runtime`, or ``max_disparity`` of `StereoSGBM`.
+                `open_engine`, or ``max_disparity`` of `StereoSGBM`.
 
         Raises:
             FileNotFoundError: If there is no such weights file.
@@ -131,13 +129,13 @@ class StereoMatcher:
             "confidence": confidence,
             "left_right": left_right,
         }
-        if model == StereoSGBM.name:
+        if model is not None and (standalone := open_standalone(model, **options)):
             if weights is not None:
                 raise InputError(f"{model} has no weights to read from {weights}: leave them out")
-            return cls(StereoSGBM(**options), **wanted, refine=bool(refine))
+            return cls(standalone, **wanted, refine=bool(refine))
         name, net = pretrained_net(model, weights)
         wanted["refine"] = net.config.estimator == "mode" if refine is None else refine
-        return cls(open_runtime(runtime, net, **options), model=name, **wanted)
+        return cls(open_engine(runtime, net, **options), model=name, **wanted)
 
     @overload
     def __call__(self, left: View, right: View) -> StereoResult: ...
@@ -265,7 +263,7 @@ class StereoMatcher:
                 right,
                 tile=tile,
                 max_disparity=self.runtime.max_disparity,
-                multiple=self.runtime.multiple,
+                multiple=self.runtime.size_multiple,
             )
         if not self.refine:
             return maps
@@ -282,16 +280,16 @@ class StereoMatcher:
     def _match_whole(self, left: Tensor, right: Tensor, *, confidence: bool) -> Tensor:
         height, width = left.shape[-2:]
         padded = self._padded_size(height, width)
-        views = [IMAGENET(view) if self.runtime.normalised else view for view in (left, right)]
-        views = [pad(view, *padded, zeros=self.padding is not None) for view in views]
-        if confidence:
-            maps = torch.stack(cast(ConfidentRuntime, self.runtime).with_confidence(*views))
-        else:
-            maps = self.runtime(*views)[None]
-        return unpad(maps, height, width)
+        left_view, right_view = (
+            pad(self.runtime.preprocessing(view), *padded, zeros=self.padding is not None)
+            for view in (left, right)
+        )
+        found = self.runtime(left_view, right_view, confidence)
+        maps = torch.stack([map_ for map_ in found if map_ is not None])
+        return unpad(maps, height, width).to(left.device)
 
     def _padded_size(self, height: int, width: int) -> tuple[int, int]:
-        multiple = self.runtime.multiple
+        multiple = self.runtime.size_multiple
         if self.padding is None:
             return math.ceil(height / multiple) * multiple, math.ceil(width / multiple) * multiple
         if height > self.padding[0] or width > self.padding[1]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import torch
 from torch import Tensor
 
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.engines.choose import open_runtime
-from mobilestereonet.engines.scores import ScoresRuntime
+from mobilestereonet.engines.choose import open_engine
+from mobilestereonet.engines.network import NetworkEngine
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel
 from mobilestereonet.weights import load_model
@@ -53,7 +51,7 @@ class Teacher:
                 f"training every {scale}: choose a teacher of its kind"
             )
         self.net = net
-        self._engine: ScoresRuntime | None = None
+        self._engine: NetworkEngine | None = None
 
     def __call__(self, pairs: StereoSample) -> tuple[Tensor, Tensor, Tensor]:
         """Match a batch on the device on which the first one is.
@@ -69,8 +67,8 @@ class Teacher:
             InputError: If the shapes do not fit.
         """
         if self._engine is None:
-            engine = open_runtime("torch", self.net, device=str(pairs.left.device))
-            self._engine = cast(ScoresRuntime, engine)
+            device = pairs.left.device
+            self._engine = open_engine("torch", self.net, precision="auto", device=device)
         views = (self.net.preprocessing(view) for view in (pairs.left, pairs.right))
         # Cloned: tensors of the inference mode must not be part of a gradient.
         scores = self._engine.scores(*views).clone()

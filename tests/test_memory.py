@@ -8,7 +8,7 @@ import pytest
 
 PROGRAM = """
 import ctypes, resource, torch
-from mobilestereonet.training.memory import keep_freed_memory
+from mobilestereonet.memory import keep_freed_memory
 ctypes.CDLL("libc.so.6").prctl(41, 1, 0, 0, 0)  # PR_SET_THP_DISABLE: pages of one size
 {call}
 def faults():

@@ -1,4 +1,4 @@
-"""What the C library does with memory that tensors free."""
+"""Setting of the C library: keep the memory that tensors free."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ def keep_freed_memory() -> None:
     """Let this process keep freed memory for the next tensors, for good.
 
     By default glibc returns large blocks to the kernel, which hands them out again page by page,
-    each cleared first, at every training step anew. The price: the process stays as large as it
-    ever was. Elsewhere than in glibc nothing happens.
+    each cleared first: that can take longer than the convolution that fills them. The price: the
+    process stays as large as it ever was. Hence only the command line calls this, never a library
+    function. Elsewhere than in glibc nothing happens.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
