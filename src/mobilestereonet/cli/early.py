@@ -23,8 +23,11 @@ _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 
 _WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar")
 
-_INPUTS = ("left", "right", "calib", "calib_left", "root", "textures")
-"""Parameters that name existing files or folders."""
+_FILES = ("left", "right", "calib", "calib_left")
+"""Parameters that name files to read."""
+
+_FOLDERS = ("root", "textures")
+"""Parameters that name folders to read."""
 
 
 class EarlyCheck(TyperCommand):
@@ -46,11 +49,15 @@ def check_values(values: Mapping[str, Any]) -> None:
         FileNotFoundError: If a file or folder to read does not exist.
         InputError: If a value is none of its parameter's, or no such model is there.
     """
-    for name in _INPUTS:
+    for name in _FILES:
         given = values.get(name)
         for path in given if isinstance(given, list | tuple) else [given]:
             if isinstance(path, Path) and not path.exists():
-                raise FileNotFoundError(f"{path}: no such file or folder")
+                raise FileNotFoundError(f"{path}: no such file")
+    for name in _FOLDERS:
+        folder = values.get(name)
+        if isinstance(folder, Path) and not folder.is_dir():
+            raise FileNotFoundError(f"no folder {folder}")
     if "runtime" in values:
         _check_choice("--runtime", values["runtime"], ("auto", *ENGINES))
         _check_choice("--precision", values.get("precision"), PRECISIONS)
@@ -91,6 +98,6 @@ def _check_model(model: str | None, weights: object) -> None:
         near = difflib.get_close_matches(model, embedded, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(embedded)};"
         raise InputError(
-            f"--model {model}: no such weights come with the package: {hint} Networks without "
-            "weights in it, see `msnet models`, need --weights FILE"
+            f"no weights of {model!r} come with the package: {hint} Networks without any, see "
+            "`msnet models`, need --weights FILE"
         )
