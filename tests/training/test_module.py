@@ -173,6 +173,29 @@ def test_one_step_in_four_is_without_guidance():
     assert module.net.guide.weight.any()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_values_of_the_config_and_one_set_of_weights():
+    """What trains is another form of the network, of which neither state nor checkpoint knows."""
+    seen = []
+
+    class Look(L.Callback):
+        def on_train_batch_end(self, trainer, pl_module, *_) -> None:
+            fast = dict(pl_module.accelerated.named_parameters())
+            own = dict(pl_module.net.named_parameters())
+            assert fast.keys() == own.keys()
+            assert all(fast[name] is own[name] for name in own)
+            seen.append({key.split(".")[0] for key in pl_module.state_dict()})
+
+    recipe = override(RECIPE, {"net.cost_volume": "correlation", "net.hourglasses": 2})
+    module, fresh = fit([TrainingBatch(_batch(1))], recipe, [Look()]), StereoModule(recipe, 10, 8)
+    assert seen == [{"net", "skipped"}] and not [*module.net.volume.parameters()]
+    assert len(module.net.heads) == 3
+    pairs = zip(module.net.parameters(), fresh.net.parameters(), strict=True)
+    assert any(not after.equal(before) for after, before in pairs)
+    with pytest.raises(IndexError):
+        module.accelerated
+
+
 def test_data_without_ground_truth():
     batch = replace(_batch(1), disparity=None, valid=None)
     with pytest.raises(InputError, match="1 has no ground truth"):

@@ -126,6 +126,9 @@ def test_what_needs_scores_is_refused(files):
     model = f"{files}/my_net.py:MyNet"
     assert default_recipe(model).cross_entropy == 0
     assert default_recipe("msnet3d").cross_entropy == 5
+    plain = default_recipe("psmnet")  # it has no estimator to choose
+    assert (plain.model, plain.net, plain.full_heads) == ("psmnet", {}, None)
+    StereoModule(plain, 1, 1)
     for values, words in (
         ({"cross_entropy": 5.0}, "cross_entropy need.*--set cross_entropy=0"),
         ({"full_heads": 1}, "full_heads need.*--set full_heads=null"),

@@ -20,8 +20,8 @@ class Muon(torch.optim.Adam):
 
     Muon (Jordan et al., 2024) moves a matrix by its momentum, made orthogonal: all directions are
     learnt at one pace, not the few strong ones first. A kernel is a matrix with one row per entry
-    of its first dimension. Updates are scaled to those of Adam (Liu et al., 2025), so that one
-    learning rate does for both. (PyTorch's own Muon takes parameters of two dimensions only.)
+    of its first dimension. Updates are scaled to those of Adam (Liu et al., 2025), so that both
+    groups share one learning rate. (PyTorch's own Muon takes parameters of two dimensions only.)
 
     Args:
         parameters: Parameters of a network.

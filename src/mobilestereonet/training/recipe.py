@@ -1,4 +1,4 @@
-"""Training recipes as data: the paper's schedules, and ours for procedural scenes."""
+"""Training recipes as data: the paper's schedules, and this project's for procedural scenes."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from mobilestereonet.weights import is_embedded
 MODEL_LOSS = "model"
 """A recipe's loss that is the network's own."""
 
-_PLACES = {"root", "textures"}
-"""Values that say where the data lie, not what they are."""
+_LOCATIONS = {"root", "textures"}
+"""Recipe values that locate the data; they do not change what is trained."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything that decides a training run but the machine it runs on.
+    """Complete, machine-independent configuration of a training run.
 
-    A run writes its files and folders with absolute paths.
+    The ``recipe.json`` of a run names files and folders by absolute paths.
 
     Attributes:
         model: Name of the network, see `list_models`, or a class of the user's own as
@@ -164,7 +164,7 @@ class Recipe:
     def changes(self, now: Recipe) -> str:
         """Values in which ``now`` differs, in words; files may have moved."""
         changed = differences(self, now)
-        moved = {name for name in _PLACES if getattr(self, name) and getattr(now, name)}
+        moved = {name for name in _LOCATIONS if getattr(self, name) and getattr(now, name)}
         return ", ".join(
             f"{name} {old} -> {new}" for name, (old, new) in changed.items() if name not in moved
         )
