@@ -6,8 +6,7 @@ they give.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, overload
 
 from torch import nn
 
@@ -21,18 +20,30 @@ Purpose = Literal["inference", "training", "export"]
 
 __all__ = ["ExportableNet", "Purpose", "accelerate"]
 
-_FORMS: dict[str, Callable[..., nn.Module]] = {
-    "inference": inference_form,
-    "training": training_form,
-    "export": exportable_form,
-}
+
+@overload
+def accelerate(net: StereoModel, purpose: Literal["inference", "training"]) -> StereoModel: ...
 
 
-def accelerate(net: StereoModel, purpose: Purpose, **options: Any) -> nn.Module:
+@overload
+def accelerate(
+    net: StereoModel,
+    purpose: Literal["export"],
+    *,
+    rgb: bool = False,
+    scores: bool = False,
+    conv3d_as_2d: bool = False,
+) -> ExportableNet: ...
+
+
+def accelerate(net: Any, purpose: Purpose, **options: Any) -> nn.Module:
     """The fast form of a network for a purpose.
 
+    Layers that a form does not know, such as those with hooks and subclasses of PyTorch's, stay as
+    they are.
+
     Args:
-        net: The network, with any weights, in any mode.
+        net: The plain network, with any weights, in any mode.
         purpose: "inference": a copy in eval mode for the device on which the network is, see
             `accelerate.inference`. "training": a network that shares the parameters, so that
             training one trains the other, see `accelerate.training`. "export": a graph of plain
@@ -43,9 +54,17 @@ def accelerate(net: StereoModel, purpose: Purpose, **options: Any) -> nn.Module:
         A `StereoModel`; for "export" an `ExportableNet`.
 
     Raises:
-        InputError: If the purpose is unknown.
+        InputError: If the purpose is unknown, or the network is a fast form already.
     """
-    if purpose not in _FORMS:
+    if purpose not in get_args(Purpose):
         known = ", ".join(get_args(Purpose))
         raise InputError(f"unknown purpose {purpose!r}: choose one of {known}")
-    return _FORMS[purpose](net, **options)
+    if hasattr(net, "accelerated_for"):
+        raise InputError(f"the network is its form for {net.accelerated_for}: give the plain one")
+    form: nn.Module
+    if purpose == "export":
+        form = exportable_form(net, **options)
+    else:
+        form = inference_form(net) if purpose == "inference" else training_form(net)
+    form.accelerated_for = purpose  # type: ignore[assignment]
+    return form

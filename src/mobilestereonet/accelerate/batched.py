@@ -29,7 +29,7 @@ class BatchedStereoNet(StereoNet):
         for name, module in net.named_children():
             self.add_module(name, module)
         self.training = net.training
-        self.set_step(0)
+        self._guided = net._guided
 
     def cost_volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
         """See `StereoNet.cost_volume`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, cast
@@ -25,13 +26,15 @@ from mobilestereonet.accelerate.modules import replace_modules
 def has_triton() -> bool:
     """Whether Triton's kernels can be built for an NVIDIA GPU.
 
-    PyTorch brings Triton along where it was built for CUDA, on Linux; it needs a C compiler.
+    PyTorch brings Triton along where it was built for CUDA, on Linux; it needs a C compiler, and a
+    GPU of compute capability 7.0 or above.
     """
     compilers = (os.environ.get("CC", "cc"), "gcc", "clang")
     return (
         find_spec("triton") is not None
         and torch.version.hip is None
         and any(map(shutil.which, compilers))
+        and (not torch.cuda.is_available() or torch.cuda.get_device_capability() >= (7, 0))
     )
 
 
@@ -45,7 +48,7 @@ def fast_depthwise(net: nn.Module) -> None:
 
 def _fast(conv: nn.Conv2d | nn.Conv3d) -> nn.Module:
     depthwise = conv.groups == conv.in_channels == conv.out_channels > 1 and conv.bias is None
-    if not depthwise or set(conv.kernel_size) != {3}:
+    if not depthwise or set(conv.kernel_size) != {3} or conv.padding_mode != "zeros":
         return conv
     if isinstance(conv, nn.Conv3d):
         plain = set(conv.dilation) == set(conv.padding) == {1} and len(set(conv.stride)) == 1
@@ -70,7 +73,7 @@ class DepthwiseConv3d(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, D, H, W) -> (B, C, D / stride, H / stride, W / stride), rounded up."""
         weight, channels = self.weight, x.shape[1]
-        if torch.is_autocast_enabled(x.device.type):
+        if torch.is_autocast_enabled(x.device.type) and x.dtype != torch.float64:
             x = x.to(torch.get_autocast_dtype(x.device.type))
         if x.is_cuda and has_triton() and x.dtype != torch.float64 and channels % 8 == 0:
             return cast(Tensor, depthwise_conv3d(x, weight, self.stride))
@@ -94,8 +97,10 @@ class DilatedDepthwiseConv2d(nn.Module):
         self.dilation = conv.dilation[0]
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, H, W), H and W multiples of the dilation -> the same shape."""
+        """(B, C, H, W) -> the same shape."""
         step = self.dilation
+        if x.shape[2] % step or x.shape[3] % step:
+            return F.conv2d(x, self.weight, padding=step, dilation=step, groups=x.shape[1])
         images = x.permute(0, 2, 3, 1)
         images = images.unflatten(2, (-1, step)).unflatten(1, (-1, step))
         images = images.permute(0, 2, 4, 1, 3, 5)  # (B, step, step, H / step, W / step, C)
@@ -116,20 +121,30 @@ def depthwise_conv3d(x: Tensor, weight: Tensor, stride: int) -> Tensor:
         stride: Stride along all three axes.
 
     Returns:
-        (B, C, D / stride, H / stride, W / stride), rounded up.
+        (B, C, D / stride, H / stride, W / stride), rounded up, in channels last.
     """
     if x.is_cuda:
         from mobilestereonet.accelerate.depthwise_triton import convolve
 
-        return convolve(x, weight, stride)
-    return F.conv3d(x, weight, stride=stride, padding=1, groups=x.shape[1])
+        with torch.cuda.device(x.device):
+            return convolve(x, weight, stride)
+    y = F.conv3d(x, weight, stride=stride, padding=1, groups=x.shape[1])
+    return y.contiguous(memory_format=torch.channels_last_3d)
 
 
 @depthwise_conv3d.register_fake
 def _(x: Tensor, weight: Tensor, stride: int) -> Tensor:
     size = [-(-side // stride) for side in x.shape[2:]]
-    empty = x.new_empty(*x.shape[:2], *size)
-    return empty.contiguous(memory_format=torch.channels_last_3d)
+    return _channels_last_empty(x, (*x.shape[:2], *size))
+
+
+def _channels_last_empty(like: Tensor, shape: Sequence[int]) -> Tensor:
+    return torch.empty(
+        tuple(shape),
+        dtype=like.dtype,
+        device=like.device,
+        memory_format=torch.channels_last_3d,
+    )
 
 
 @torch.library.custom_op("mobilestereonet::depthwise_conv3d_backward", mutates_args=())
@@ -139,15 +154,17 @@ def _depthwise_backward(
     if x.is_cuda:
         from mobilestereonet.accelerate.depthwise_triton import convolve_backward
 
-        return convolve_backward(grad, x, weight, stride)
+        with torch.cuda.device(x.device):
+            return convolve_backward(grad, x, weight, stride)
     grad = grad.contiguous(memory_format=torch.channels_last_3d)
     grad_x = _input_gradient(grad, weight, x.shape, stride)
-    return grad_x, _weight_gradient(grad, x, stride)
+    grad_x = grad_x.contiguous(memory_format=torch.channels_last_3d)
+    return grad_x, _weight_gradient(grad, x, stride).contiguous()
 
 
 @_depthwise_backward.register_fake
 def _(grad: Tensor, x: Tensor, weight: Tensor, stride: int) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(x), torch.empty_like(weight)
+    return _channels_last_empty(x, x.shape), weight.new_empty(weight.shape)
 
 
 def _keep_inputs(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:

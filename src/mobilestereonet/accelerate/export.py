@@ -8,18 +8,18 @@ axis, so it takes one pair.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.inference import closed_form, guide_convolution
+from mobilestereonet.accelerate.inference import guide_convolution
 from mobilestereonet.accelerate.modules import inference_copy
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume
 from mobilestereonet.accelerate.slices import slice_layers
-from mobilestereonet.accelerate.soft_argmax import closed_form as soft_argmax
-from mobilestereonet.accelerate.soft_argmax import upsample
+from mobilestereonet.accelerate.soft_argmax import closed_form, upsample, use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.coarse_pass import halve, scaled_log_probability
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
@@ -34,9 +34,9 @@ class ExportableNet(nn.Module):
     """A network in eval mode on one pair, with the same result up to rounding.
 
     Attributes:
-        config: The network's.
-        preprocessing: The network's.
-        max_disparity: The network's.
+        config: Config of the network.
+        preprocessing: How RGB views become the network's input.
+        max_disparity: Disparities below this are searched, in pixels.
         size_multiple: Height and width must be multiples of this.
         min_width: Smallest width in pixels.
         any_size: Whether a graph that was traced at one size serves any.
@@ -60,15 +60,15 @@ class ExportableNet(nn.Module):
             raise InputError(f"{type(net).__name__} regresses the disparity: it has no scores")
         self.config, self.preprocessing = net.config, net.preprocessing
         self.max_disparity, self.size_multiple = net.max_disparity, net.size_multiple
-        self.min_width = net.max_disparity + net.size_multiple
+        self.min_width = max(net.max_disparity + net.size_multiple, net.min_side)
         self.rgb, self.gives_scores = rgb, scores
         net = inference_copy(net)
         fold_norms(net)
         self._build(net)
-        self.requires_grad_(False).to(next(net.parameters()).dtype).eval()
+        self.requires_grad_(False).eval()
 
     def _build(self, net: StereoModel) -> None:
-        closed_form(net)
+        use_closed_form(net, in_rows=False)
         self.net = net
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
@@ -109,16 +109,9 @@ def exportable_form(
     Raises:
         InputError: See `ExportableNet`.
     """
-    if isinstance(net, StereoNet):
+    if type(net) is StereoNet:
         return ExportableStereoNet(net, rgb=rgb, scores=scores, conv3d_as_2d=conv3d_as_2d)
     return ExportableNet(net, rgb=rgb, scores=scores)
-
-
-def example_pair(net: StereoModel | ExportableNet, height: int = 64) -> tuple[Tensor, Tensor]:
-    """A small pair with which to trace an `ExportableNet` of any size; its values do not matter."""
-    width = net.max_disparity + net.size_multiple
-    left, right = torch.zeros(2, 1, 3, height, width)
-    return left, right
 
 
 class ExportableStereoNet(ExportableNet):
@@ -144,7 +137,7 @@ class ExportableStereoNet(ExportableNet):
         self.volume = (
             BlockwiseLearnedVolume(net.volume)
             if isinstance(net.volume, LearnedVolume)
-            else BlockwiseCorrelation(net.volume, net.config.volume_input)
+            else BlockwiseCorrelation(net.volume, net.config.volume_input, next(net.parameters()))
         )
         self.pre_hourglass = net.pre_hourglass
         self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
@@ -159,7 +152,7 @@ class ExportableStereoNet(ExportableNet):
         if self.config.coarse_pass:
             guidance = guidance_in_four_dimensions(self._scores(halve(views), planes // 2))
         scores = self._scores(views, planes, guidance)
-        return scores if self.gives_scores else soft_argmax(upsample(scores), self.estimator)
+        return scores if self.gives_scores else closed_form(upsample(scores), self.estimator)
 
     def _scores(self, views: Tensor, planes: int, guidance: Tensor | None = None) -> Tensor:
         left, right = self.reduction(self.features(views)).split(1)
@@ -203,8 +196,9 @@ class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
         super().__init__(volume)
         self.starts: Tensor
         self.corner: Tensor
-        triangle = torch.triu(torch.ones(BLOCK_PLANES, BLOCK_PLANES))
-        self.register_buffer("starts", torch.eye(BLOCK_PLANES)[:, None, None])
+        like: dict[str, Any] = {"dtype": self.left.weight.dtype, "device": self.left.weight.device}
+        triangle = torch.triu(torch.ones(BLOCK_PLANES, BLOCK_PLANES, **like))
+        self.register_buffer("starts", torch.eye(BLOCK_PLANES, **like)[:, None, None])
         self.register_buffer("corner", triangle[:, None, None])
 
     def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
@@ -236,11 +230,12 @@ class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
 class BlockwiseCorrelation(nn.Module):
     """`Correlation` in tensors of four dimensions."""
 
-    def __init__(self, volume: Correlation, channels: int) -> None:
+    def __init__(self, volume: Correlation, channels: int, like: Tensor) -> None:
         super().__init__()
         # A convolution and no mean over a reshaped tensor, which would need to know its size.
         self.mean = nn.Conv2d(channels, volume.groups, 1, groups=volume.groups, bias=False)
         nn.init.constant_(self.mean.weight, volume.groups / channels)
+        self.mean.to(like.device, like.dtype)
 
     def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
         """(1, C, H, W) twice -> so many planes (1, groups, H, W)."""

@@ -11,7 +11,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.modules import replace_modules
+from mobilestereonet.accelerate.modules import (
+    is_plain,
+    replace_modules,
+    without_identities,
+)
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.features import ResidualBlock
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
@@ -51,19 +55,32 @@ def fuse_convolutions(net: nn.Module) -> None:
     Residual blocks, pre-hourglass and hourglasses take their sums without another tensor. After
     `fold_norms` and `process_by_rows`.
     """
-    for layers in [module for module in net.modules() if isinstance(module, nn.Sequential)]:
+    layers: Any
+    for layers in [module for module in net.modules() if is_plain(module, nn.Sequential)]:
         for index in reversed(range(len(layers))):
             layer = layers[index]
-            if isinstance(layer, nn.Conv2d | nn.Conv3d):
+            if is_plain(layer, (nn.Conv2d, nn.Conv3d)) and _fusable(layer):
                 layers[index] = layer = FusedConv(layer)
             last = layer.project if isinstance(layer, SlicedV2Block) else layer
-            name = activation_name(layers[index + 1]) if index + 1 < len(layers) else "none"
+            following = _following(layers, index)
+            name = "none" if following is None else activation_name(layers[following])
             if isinstance(last, FusedConv) and name != "none":
                 last.activation = name
-                del layers[index + 1]
+                layers[following] = nn.Identity()
     replace_modules(net, ResidualBlock, FusedResidualBlock)
     replace_modules(net, PreHourglass, FusedPreHourglass)
     replace_modules(net, Hourglass, FusedHourglass)
+
+
+def _fusable(conv: Any) -> bool:
+    return conv.padding_mode == "zeros" and not isinstance(conv.padding, str)
+
+
+def _following(layers: nn.Sequential, index: int) -> int | None:
+    """Place of the next layer that is no identity."""
+    return next(
+        (i for i in range(index + 1, len(layers)) if type(layers[i]) is not nn.Identity), None
+    )
 
 
 class FusedConv(nn.Module):
@@ -161,7 +178,7 @@ class FusedResidualBlock(nn.Module):
 
     def __init__(self, block: ResidualBlock) -> None:
         super().__init__()
-        *layers, self.last = block.conv2
+        *layers, self.last = without_identities(block.conv2)
         self.layers = nn.Sequential(*block.conv1, *layers)
         self.downsample = block.downsample
 
@@ -210,7 +227,7 @@ class SlicedV2Block(nn.Module):
 
     def __init__(self, block: V2Block) -> None:
         super().__init__()
-        expand, first, depthwise, second, project = cast(list[Any], block.conv)
+        expand, first, depthwise, second, project = cast(list[Any], without_identities(block.conv))
         self.expand = FusedConv(expand, activation_name(first))
         self.depthwise = FusedConv(depthwise, activation_name(second))
         self.project = FusedConv(project)
@@ -252,7 +269,7 @@ class SlicedHead(nn.Module):
 
     def __init__(self, head: Head) -> None:
         super().__init__()
-        conv, activation = cast(tuple[nn.Conv3d, nn.Module], head.conv)
+        conv, activation = cast(list[Any], without_identities(head.conv))
         self.conv = FusedConv(conv, activation_name(activation))
         self.score = head.score
 

@@ -15,18 +15,17 @@ from torch.nn.utils import (
 )
 
 from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
-from mobilestereonet.accelerate.modules import inference_copy, replace_modules
+from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import (
     PlanewiseCorrelation,
     PlanewiseLearnedVolume,
     StackedPlanes,
 )
-from mobilestereonet.accelerate.soft_argmax import SCALE, ClosedFormSoftArgmax
+from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel
 from mobilestereonet.nets.msnet import StereoNet
-from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 
 def inference_form(net: StereoModel) -> StereoModel:
@@ -37,12 +36,12 @@ def inference_form(net: StereoModel) -> StereoModel:
     PyTorch's own layers run the rest. On a GPU the batch norms are folded and the soft-argmax is
     in closed form; PyTorch's own layers run it.
     """
-    on_cpu = next(net.parameters()).device.type == "cpu"
+    on_cpu = device_of(net).type == "cpu"
     net = inference_copy(net)
     fold_norms(net)
-    closed_form(net)
+    use_closed_form(net)
     if on_cpu:
-        if isinstance(net, StereoNet):
+        if type(net) is StereoNet:
             images_one_by_one(net)
             drop_training_heads(net)
             volume_by_planes(net)
@@ -52,18 +51,7 @@ def inference_form(net: StereoModel) -> StereoModel:
         convert_conv3d_weight_memory_format(net, torch.channels_last_3d)
     # With 3D convolutions in channels last a GPU was slower than with the plain formulation.
     convert_conv2d_weight_memory_format(net, torch.channels_last)
-    return net
-
-
-def closed_form(net: nn.Module) -> None:
-    """The soft-argmax in closed form, where the network's scale is that of the form."""
-    replace_modules(
-        net,
-        SoftArgmax,
-        lambda head: (
-            ClosedFormSoftArgmax(head) if head.scale == SCALE and not head.align_corners else head
-        ),
-    )
+    return net.eval().requires_grad_(False)
 
 
 class PerImageSequential(nn.Sequential):
@@ -71,27 +59,23 @@ class PerImageSequential(nn.Sequential):
 
     def forward(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, C, H / 4, W / 4)."""
-        results = []
-        for image in images.split(1):
-            for layer in self:
-                image = layer(image)
-            results.append(image)
-        return torch.cat(results)
+        forward = super().forward
+        return torch.cat([cast(Tensor, forward(image)) for image in images.split(1)])  # type: ignore[no-untyped-call]
 
 
 def images_one_by_one(net: StereoNet) -> None:
-    """Features of one image at a time: less memory, in the same time."""
+    """Extract features from one image of a batch at a time: less memory, in the same time."""
     net.add_module("features", PerImageSequential(net.features, net.reduction))
     net.reduction = nn.Identity()
 
 
 def drop_training_heads(net: StereoNet) -> None:
-    """The heads that only training calls."""
+    """Replace the heads that only training calls by identities."""
     net.heads = nn.ModuleList([*(nn.Identity() for _ in net.hourglasses), net.heads[-1]])
 
 
 def volume_by_planes(net: StereoNet) -> None:
-    """The cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
+    """Compute the cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
     in_columns = net.config.dims == 3
     replace_modules(
         net,
@@ -106,10 +90,10 @@ def volume_by_planes(net: StereoNet) -> None:
 
 
 def columns_first(net: StereoNet) -> None:
-    """A 3D encoder takes the volume as columns, disparities and rows, as which it lies in memory.
+    """Run a 3D encoder on the transposed volume: columns, disparities, rows.
 
-    Of views wider than high the plane of a column is the smallest, so that some fit into a cache.
-    After `volume_by_planes` and `drop_training_heads`.
+    That is its order in memory. Of views wider than high the plane of a column is the smallest, so
+    that some fit into a cache. After `volume_by_planes` and `drop_training_heads`.
     """
     if net.config.dims == 2:
         return

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from itertools import pairwise
 from typing import Any, cast
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
+
+from mobilestereonet.accelerate.modules import is_plain
 
 _LIMITS: dict[type[nn.Module], tuple[float, float]] = {
     nn.ReLU: (0.0, math.inf),
@@ -25,10 +29,11 @@ def fuse_activations(net: nn.Module) -> None:
     the activation the identity. Norms whose channels are no multiple of 8 are left alone, as are
     synchronised ones.
     """
+    module: Any
     for module in list(net.modules()):
-        if isinstance(module, nn.Sequential):
+        if is_plain(module, nn.Sequential):
             for index, (norm, activation) in enumerate(pairwise(list(module))):
-                if _fits(norm) and type(activation) in _LIMITS:
+                if _fits(norm) and is_plain(activation, tuple(_LIMITS)):
                     module[index] = NormActivation(norm, _LIMITS[type(activation)])
                     module[index + 1] = nn.Identity()
         for name, child in module.named_children():
@@ -36,15 +41,21 @@ def fuse_activations(net: nn.Module) -> None:
                 setattr(module, name, NormActivation(child, _NONE))
 
 
-def _fits(module: nn.Module) -> bool:
-    is_norm = isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d)
-    return is_norm and cast(nn.BatchNorm2d, module).num_features % 8 == 0
+def _fits(module: Any) -> bool:
+    return (
+        is_plain(module, (nn.BatchNorm2d, nn.BatchNorm3d))
+        and module.num_features % 8 == 0
+        and module.affine
+        and module.track_running_stats
+        and module.momentum is not None
+    )
 
 
 class NormActivation(nn.Module):
     """A batch norm, with the parameters and statistics of another, and the activation after it.
 
-    Runs on an NVIDIA GPU, in eval mode without gradients.
+    By Triton kernels on an NVIDIA GPU; in eval mode with gradients, as where a norm is frozen for
+    fine-tuning, by PyTorch.
     """
 
     running_mean: Tensor
@@ -62,10 +73,11 @@ class NormActivation(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, ...) -> the same shape."""
         if not self.training:
-            assert not torch.is_grad_enabled()
-            scale, shift = _maps(
-                self.running_mean, self.running_var, self.weight, self.bias, self.eps
-            )[1:]
+            statistics = self.running_mean, self.running_var
+            if torch.is_grad_enabled():
+                y = F.batch_norm(x, *statistics, self.weight, self.bias, eps=self.eps)
+                return y.clamp(*self.limits)
+            _, scale, shift = _maps(*statistics, self.weight, self.bias, self.eps)
             return _run_norm_activation(x, scale, shift, *self.limits)
         output, mean, variance = batch_norm_activation(
             x, self.weight, self.bias, self.eps, *self.limits
@@ -92,7 +104,13 @@ def _run_norm_activation(
 ) -> Tensor:
     from mobilestereonet.accelerate.norm_triton import norm_activation
 
-    return norm_activation(x, scale, shift, (low, high))
+    with _device_of(x):
+        return norm_activation(x, scale, shift, (low, high))
+
+
+def _device_of(x: Tensor) -> AbstractContextManager[Any]:
+    """Triton runs on the current device: that of ``x``."""
+    return torch.cuda.device(x.device) if x.is_cuda else nullcontext()
 
 
 @torch.library.custom_op("mobilestereonet::batch_norm_activation", mutates_args=())
@@ -116,8 +134,9 @@ def batch_norm_activation(
     """
     from mobilestereonet.accelerate.norm_triton import batch_statistics
 
-    mean, variance = batch_statistics(x)
-    scale, shift = _maps(mean, variance, weight, bias, eps)[1:]
+    with _device_of(x):
+        mean, variance = batch_statistics(x)
+    _, scale, shift = _maps(mean, variance, weight, bias, eps)
     return _run_norm_activation(x, scale, shift, low, high), mean, variance
 
 
@@ -125,7 +144,12 @@ def batch_norm_activation(
 def _(
     x: Tensor, weight: Tensor, bias: Tensor, eps: float, low: float, high: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.empty_like(x), torch.empty_like(weight), torch.empty_like(weight)
+    return _channels_last_empty(x), torch.empty_like(weight), torch.empty_like(weight)
+
+
+def _channels_last_empty(x: Tensor) -> Tensor:
+    layout = torch.channels_last if x.dim() == 4 else torch.channels_last_3d
+    return torch.empty(x.shape, dtype=x.dtype, device=x.device, memory_format=layout)
 
 
 @torch.library.custom_op("mobilestereonet::batch_norm_activation_backward", mutates_args=())
@@ -142,8 +166,9 @@ def _backward(
 ) -> tuple[Tensor, Tensor, Tensor]:
     from mobilestereonet.accelerate.norm_triton import norm_activation_backward
 
-    inverse, *maps = _maps(mean, variance, weight, bias, eps)
-    return norm_activation_backward(grad, x, mean, inverse, (maps[0], maps[1]), (low, high))
+    inverse, scale, shift = _maps(mean, variance, weight, bias, eps)
+    with _device_of(x):
+        return norm_activation_backward(grad, x, mean, inverse, (scale, shift), (low, high))
 
 
 @_backward.register_fake
@@ -158,7 +183,7 @@ def _(
     low: float,
     high: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.empty_like(x), torch.empty_like(weight), torch.empty_like(bias)
+    return _channels_last_empty(x), torch.empty_like(weight), torch.empty_like(bias)
 
 
 def _keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor, Tensor]) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from torch import nn
 from torch.nn.utils import fuse_conv_bn_eval
 
+from mobilestereonet.accelerate.modules import is_plain
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.cost_volumes import LearnedVolume
 
@@ -19,24 +20,35 @@ _NORMS = (nn.BatchNorm2d, nn.BatchNorm3d)
 
 
 def fold_norms(net: nn.Module) -> None:
-    """Fold each batch norm that follows a convolution in a sequence, in place.
+    """Fold each batch norm that follows a convolution in a sequence; an identity takes its place.
 
     Raises:
         InputError: If the network is in training mode, in which norms take statistics.
     """
     if net.training:
         raise InputError("batch norms can only be folded in eval mode: call net.eval() first")
+    module: Any
     for module in list(net.modules()):
-        if isinstance(module, nn.Sequential):
+        if is_plain(module, nn.Sequential):
             for index in reversed(range(1, len(module))):
                 before, norm = module[index - 1], module[index]
-                if isinstance(norm, _NORMS) and isinstance(before, _CONVOLUTIONS):
+                if _foldable(before, norm):
                     module[index - 1] = _folded(before, norm)
-                    del module[index]
-        elif isinstance(module, LearnedVolume):
+                    module[index] = nn.Identity()
+        elif is_plain(module, LearnedVolume):
             for index, (conv, norm) in enumerate(zip(module.conv, module.norm, strict=True)):
                 module.conv[index] = _folded(conv, norm)
                 module.norm[index] = nn.Identity()
+
+
+def _foldable(conv: Any, norm: Any) -> bool:
+    transposed = isinstance(conv, nn.ConvTranspose2d | nn.ConvTranspose3d)
+    return (
+        is_plain(norm, _NORMS)
+        and norm.running_mean is not None
+        and is_plain(conv, _CONVOLUTIONS)
+        and not (transposed and conv.groups > 1)  # PyTorch's folding mixes the groups up
+    )
 
 
 def _folded(conv: Any, norm: Any) -> nn.Module:

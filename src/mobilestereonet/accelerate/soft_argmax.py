@@ -20,8 +20,10 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
+from mobilestereonet.accelerate.modules import replace_modules
+from mobilestereonet.errors import InputError
 from mobilestereonet.nets.soft_argmax import (
     CONFIDENCE_RADIUS_PX,
     Estimator,
@@ -40,22 +42,50 @@ _ROWS = 4
 
 
 class ClosedFormSoftArgmax(SoftArgmax):
-    """`SoftArgmax` with a scale of 4, in closed form."""
+    """`SoftArgmax` with a scale of 4 and half-pixel centres, in closed form.
 
-    def __init__(self, regression: SoftArgmax) -> None:
+    Args:
+        regression: What it replaces.
+        in_rows: Work on some rows at a time where no gradient is asked for. False for graphs that
+            are traced: one graph serves all sizes, and an engine divides the work itself.
+
+    Raises:
+        InputError: If the scale is another one, or corners are aligned.
+    """
+
+    def __init__(self, regression: SoftArgmax, *, in_rows: bool = True) -> None:
         super().__init__(regression.scale, regression.estimator)
+        if not has_closed_form(regression):
+            raise InputError(
+                f"the closed form is for a scale of {SCALE} and half-pixel centres, not for "
+                f"{regression.scale}{' and aligned corners' if regression.align_corners else ''}"
+            )
+        self.in_rows = in_rows
 
     def forward(self, scores: Tensor) -> Tensor:
         """Scores (B, D, H, W) to disparity (B, 4 H, 4 W) in pixels."""
-        return _regress(scores, self.estimator)
+        return self._regress(scores, self.estimator)
 
     def expectation(self, scores: Tensor) -> Tensor:
         """As `forward`, with the estimator "mean"."""
-        return _regress(scores, "mean")
+        return self._regress(scores, "mean")
+
+    def _regress(self, scores: Tensor, estimator: Estimator) -> Tensor:
+        scores = scores.to(torch.promote_types(scores.dtype, torch.float32))
+        if scores.requires_grad and torch.is_grad_enabled():
+            disparity: Tensor = _soft_argmax(upsample(scores), estimator == "mode")[0]
+            return disparity
+        # On a GPU few large kernels are faster than rows that stay in a cache.
+        if scores.is_cuda or not self.in_rows or torch.compiler.is_compiling():
+            return closed_form(upsample(scores), estimator)
+        return torch.cat(list(_by_rows(scores, estimator)), dim=1)
 
     def confidence(self, scores: Tensor) -> Tensor:
         """As `SoftArgmax.confidence`, on tensors of four dimensions."""
-        scores = scores.to(torch.promote_types(scores.dtype, torch.float32))
+        with torch.autocast(scores.device.type, enabled=False):
+            return self._confidence(scores.to(torch.promote_types(scores.dtype, torch.float32)))
+
+    def _confidence(self, scores: Tensor) -> Tensor:
         planes = scores.shape[1]
         # Linear upsampling along D as a 1x1 convolution.
         identity = torch.eye(planes, dtype=scores.dtype, device=scores.device)
@@ -67,6 +97,20 @@ class ClosedFormSoftArgmax(SoftArgmax):
         within = (CONFIDENCE_RADIUS_PX + 0.5 - distance).clamp(0, 1)
         confidence = (probability * within).sum(dim=1, keepdim=True)
         return F.interpolate(confidence, scale_factor=float(SCALE), mode="bilinear").squeeze(1)
+
+
+def has_closed_form(regression: SoftArgmax) -> bool:
+    """Whether the closed form is that of a regression."""
+    return regression.scale == SCALE and not regression.align_corners
+
+
+def use_closed_form(net: nn.Module, *, in_rows: bool = True) -> None:
+    """Replace the soft-argmax of a network, in place, where it has a closed form."""
+    replace_modules(
+        net,
+        SoftArgmax,
+        lambda head: ClosedFormSoftArgmax(head, in_rows=in_rows) if has_closed_form(head) else head,
+    )
 
 
 class _Intervals(NamedTuple):
@@ -132,17 +176,6 @@ def upsample(scores: Tensor) -> Tensor:
     return F.interpolate(scores, scale_factor=float(SCALE), mode="bilinear", align_corners=False)
 
 
-def _regress(scores: Tensor, estimator: Estimator) -> Tensor:
-    scores = scores.to(torch.promote_types(scores.dtype, torch.float32))
-    # One graph for all sizes, which an engine divides itself; and on a GPU few large kernels.
-    if torch.compiler.is_compiling() or (scores.is_cuda and not scores.requires_grad):
-        return closed_form(upsample(scores), estimator)
-    if scores.requires_grad:
-        disparity: Tensor = _soft_argmax(upsample(scores), estimator == "mode")[0]
-        return disparity
-    return torch.cat(list(_by_rows(scores, estimator)), dim=1)
-
-
 def _by_rows(scores: Tensor, estimator: Estimator) -> Iterator[Tensor]:
     """Disparity of some rows at a time, so that not even the upsampled scores exist as a whole."""
     height = scores.shape[2]
@@ -191,6 +224,10 @@ def _keep_derivative(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> No
 
 
 def _backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Tensor, None]:
+    if torch.is_grad_enabled():
+        raise RuntimeError(
+            "the soft-argmax in closed form has no second derivative: use the plain one"
+        )
     (derivative,) = ctx.saved_tensors
     return derivative * grad.unsqueeze(1), None
 

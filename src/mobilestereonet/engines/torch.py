@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from typing import cast
 
 import torch
 from torch import Tensor
@@ -52,7 +51,7 @@ class TorchEngine(NetworkEngine):
         self.dtype = _DTYPES[precision]
         # Weights are rewritten for the device on which they are.
         accelerated = accelerate(copy.deepcopy(net).to(self.device), "inference")
-        self.net = cast(StereoModel, accelerated.to(self.dtype))
+        self.net = accelerated.to(self.dtype)
 
     @staticmethod
     def precisions(device: torch.device) -> list[str]:

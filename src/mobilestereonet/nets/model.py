@@ -223,14 +223,14 @@ class VolumeModel(StereoModel):
 
     def training_loss(self, outputs: VolumeOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
         """Smooth L1 of the heads' expected disparities, weighted; see `StereoModel`."""
+        truth = torch.where(valid, disparity, 0)  # unknown values may be anything, NaN too
         losses = [
-            weight * F.smooth_l1_loss(prediction, disparity, reduction="none")
+            weight * (valid * F.smooth_l1_loss(prediction, truth, reduction="none")).sum()
             for weight, prediction in zip(
                 self.weights_of(outputs.scores), outputs.disparities, strict=True
             )
         ]
-        total = torch.stack([torch.where(valid, loss, 0).sum() for loss in losses]).sum()
-        return total / valid.sum().clamp_min(1)
+        return torch.stack(losses).sum() / valid.sum().clamp_min(1)
 
 
 def trained_pixels(disparity: Tensor, valid: Tensor, max_disparity: int) -> Tensor:

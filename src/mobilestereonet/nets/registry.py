@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
+import hashlib
 import importlib.util
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
@@ -66,6 +68,13 @@ def register_model(
 
     def register(network: Network) -> Network:
         own = _default_config(network) if config is None else config
+        before = _MODELS.get(name)
+        if before is not None and before.network.__module__ != network.__module__:
+            warnings.warn(
+                f"model {name!r} of {before.network.__module__} is replaced by that of "
+                f"{network.__module__}",
+                stacklevel=2,
+            )
         _MODELS[name] = ModelInfo(name=name, network=network, config=own, **information)
         return network
 
@@ -79,7 +88,12 @@ def _default_config(network: type[StereoModel]) -> Any:
             f"{network.__name__}: annotate its config with a frozen dataclass, such as "
             "`config: MyConfig`, or give register_model a config"
         )
-    return kind()
+    try:
+        return kind()
+    except TypeError as error:
+        raise InputError(
+            f"{network.__name__}: every field of its config needs a default: {error}"
+        ) from None
 
 
 def list_models(pattern: str = "*") -> list[str]:
@@ -124,7 +138,8 @@ def import_from_file(path: Path, attribute: str) -> Any:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file to import {attribute} from")
-    module_name = f"mobilestereonet_user_{path.stem}"
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    module_name = f"mobilestereonet_user_{path.stem}_{digest}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -132,6 +147,7 @@ def import_from_file(path: Path, attribute: str) -> Any:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
+        del sys.modules[module_name]
         raise InputError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     return getattr(module, attribute, None)
 

@@ -91,12 +91,12 @@ class SoftArgmax(nn.Module):
     @torch.no_grad()
     def _dominant_mode(self, probability: Tensor) -> Tensor:
         """1 for the disparities that "mode" looks at, 0 for the others: (B, s D, H, W)."""
-        scale = self.scale
-        around = (0, 0, 0, 0, scale // 2, scale // 2)
+        scale, below = self.scale, self.scale // 2
         # Half an interval below the first plane, the intervals between planes, half an interval.
-        intervals = F.pad(probability, around).unflatten(1, (-1, scale)).sum(dim=2)
+        padded = F.pad(probability, (0, 0, 0, 0, below, scale - below))
+        intervals = padded.unflatten(1, (-1, scale)).sum(dim=2)
         mask = dominant_mode(intervals).repeat_interleave(scale, dim=1)
-        return mask[:, scale // 2 : mask.shape[1] - scale // 2]
+        return mask[:, below : below + probability.shape[1]]
 
 
 def dominant_mode(intervals: Tensor) -> Tensor:

@@ -1,0 +1,203 @@
+"""Fast forms of networks that are not MobileStereoNets: exact, or left as they are."""
+
+import copy
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import nn
+from torch.nn.utils.parametrizations import weight_norm
+
+from mobilestereonet.accelerate import accelerate
+from mobilestereonet.accelerate.batched import _group_means, _shifted_sums
+from mobilestereonet.accelerate.depthwise import depthwise_conv3d
+from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax, _soft_argmax
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets import Prediction, StereoModel, build_model
+from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet_config import NetConfig
+from mobilestereonet.nets.soft_argmax import SoftArgmax
+
+
+@dataclass(frozen=True)
+class Config:
+    max_disparity: int = 32
+
+
+class Wrapped(StereoModel):
+    """Regresses from one view with whatever layers it is given."""
+
+    def __init__(self, layers, run=None):
+        super().__init__(Config())
+        self.layers = layers
+        self.run = run or (lambda net, x: net.layers(x))
+
+    def forward(self, left, right):
+        y = self.run(self, left)
+        disparity = y.flatten(1, y.ndim - 3).mean(dim=1)
+        return Prediction(disparity) if not self.training else SimpleNamespace(disparity=disparity)
+
+
+class Standardised(nn.Conv2d):
+    def forward(self, x):
+        weight = self.weight - self.weight.mean(dim=(1, 2, 3), keepdim=True)
+        return F.conv2d(x, weight, self.bias, padding=self.padding)
+
+
+class Residual(nn.Sequential):
+    def forward(self, x):
+        return self[1](self[0](x) + x)
+
+
+class Warm(SoftArgmax):
+    def forward(self, scores):
+        return super().forward(scores / 3)
+
+
+def conv(*arguments, **options):
+    return nn.Conv2d(*arguments, padding=options.pop("padding", 1), bias=False, **options)
+
+
+def taps(net, x):
+    """Slices of one sequence, as feature pyramids take them."""
+    return net.layers[3:](net.layers[:3](x))
+
+
+def volume(net, x):
+    return net.layers(x.unsqueeze(2).expand(-1, -1, 5, -1, -1))
+
+
+def depthwise(step, **options):
+    return nn.Conv2d(3, 3, 3, padding=step, dilation=step, groups=3, bias=False, **options)
+
+
+NETWORKS = {
+    "plain": Wrapped(nn.Sequential(conv(3, 8, 3), nn.BatchNorm2d(8), nn.ReLU(), conv(8, 4, 3))),
+    "subclass": Wrapped(nn.Sequential(Standardised(3, 8, 3, padding=1), nn.BatchNorm2d(8))),
+    "reflected": Wrapped(nn.Sequential(conv(3, 8, 3, padding_mode="reflect"), nn.ReLU())),
+    "same": Wrapped(nn.Sequential(conv(3, 8, 3, padding="same"), nn.ReLU())),
+    "slices": Wrapped(
+        nn.Sequential(conv(3, 8, 3), nn.BatchNorm2d(8), nn.ReLU(), conv(8, 4, 3), nn.ReLU()), taps
+    ),
+    "residual": Wrapped(Residual(conv(3, 3, 3), nn.BatchNorm2d(3))),
+    "transposed in groups": Wrapped(
+        nn.Sequential(nn.ConvTranspose2d(3, 6, 3, padding=1, groups=3), nn.BatchNorm2d(6))
+    ),
+    "no statistics": Wrapped(
+        nn.Sequential(conv(3, 4, 3), nn.BatchNorm2d(4, track_running_stats=False))
+    ),
+    "dilated": Wrapped(nn.Sequential(depthwise(2), nn.ReLU())),
+    "dilation that does not divide": Wrapped(nn.Sequential(depthwise(5))),
+    "dilated circular": Wrapped(nn.Sequential(depthwise(2, padding_mode="circular"))),
+    "parametrised": Wrapped(nn.Sequential(weight_norm(depthwise(2)), nn.ReLU())),
+    "3D": Wrapped(nn.Sequential(nn.Conv3d(3, 3, 3, padding=1, groups=3, bias=False)), volume),
+    "3D strided, circular": Wrapped(
+        nn.Sequential(nn.Conv3d(3, 3, 3, padding=1, groups=3, bias=False, padding_mode="circular")),
+        volume,
+    ),
+    "without parameters": Wrapped(nn.Sequential(nn.ReLU())),
+    "scores of its own": Wrapped(nn.Sequential(Warm(4)), lambda net, x: net.layers(4 * x)[:, None]),
+}
+
+
+def random_statistics(net):
+    torch.manual_seed(0)
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d) and module.running_mean is not None:
+            module.running_mean.normal_()
+            module.running_var.uniform_(0.5, 2)
+            nn.init.normal_(module.bias)
+    return net
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_every_form_is_exact(name):
+    net = random_statistics(copy.deepcopy(NETWORKS[name])).double().eval()
+    left, right = torch.randn(2, 1, 3, 32, 48, dtype=torch.float64)
+    with torch.no_grad():
+        expected = net(left, right).disparity
+        found = [accelerate(net, purpose)(left, right) for purpose in ("inference", "training")]
+        graph = accelerate(net, "export")(left, right)
+    for disparity in (found[0].disparity, found[1].disparity, graph):
+        torch.testing.assert_close(disparity, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_gradients_of_the_form_for_training(name):
+    net = random_statistics(copy.deepcopy(NETWORKS[name])).double().train()
+    fast = accelerate(net, "training")
+    assert fast.state_dict().keys() == net.state_dict().keys()
+    left = torch.randn(2, 3, 32, 48, dtype=torch.float64, requires_grad=True)
+    inputs = (left, *net.parameters())
+    for _ in range(2):  # graphs are made anew in each step
+        grads = [
+            torch.autograd.grad(form(left, left).disparity.square().sum(), inputs)
+            for form in (net, fast)
+        ]
+        for expected, found in zip(*grads, strict=True):
+            torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_hooked_layers_stay():
+    net = Wrapped(nn.Sequential(conv(3, 8, 3), nn.BatchNorm2d(8), nn.ReLU())).eval()
+    net.layers[0].register_forward_hook(lambda module, inputs, output: output + 1)
+    random_statistics(net)
+    left = torch.randn(1, 3, 16, 16)
+    with torch.no_grad():
+        expected = net(left, left).disparity
+        for purpose in ("inference", "training"):
+            found = accelerate(net, purpose)(left, left).disparity
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_subclasses_of_the_papers_network_keep_what_they_change():
+    class Biased(StereoNet):
+        def aggregate(self, volume, guidance=None):
+            return [scores + self.bias for scores in super().aggregate(volume, guidance)]
+
+    torch.manual_seed(0)
+    net = Biased(NetConfig(dims=2, max_disparity=32, hourglasses=1)).eval()
+    net.bias = nn.Parameter(torch.linspace(-5, 5, 8)[:, None, None])
+    left, right = torch.randn(2, 1, 3, 32, 64)
+    with torch.no_grad():
+        net.heads[-1].score.weight /= 1000
+        expected = net(left, right).disparity
+        assert expected.mean() > 20
+        for purpose in ("inference", "training"):
+            found = accelerate(net, purpose)(left, right).disparity
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
+        graph = accelerate(net, "export")(left, right)
+        torch.testing.assert_close(graph, expected, rtol=0, atol=1e-3)
+
+
+def test_forms_of_forms_are_refused():
+    fast = accelerate(build_model("msnet2d", max_disparity=32), "training")
+    with pytest.raises(InputError, match="is its form for training: give the plain one"):
+        accelerate(fast, "inference")
+    with pytest.raises(InputError, match="not for 4 and aligned corners"):
+        ClosedFormSoftArgmax(SoftArgmax(4, align_corners=True))
+
+
+def test_closed_form_has_no_second_derivative():
+    scores = torch.randn(1, 4, 2, 2, requires_grad=True)
+    disparity = ClosedFormSoftArgmax(SoftArgmax(4))(scores).sum()
+    with pytest.raises(RuntimeError, match="no second derivative"):
+        torch.autograd.grad(disparity, scores, create_graph=True)
+
+
+@pytest.mark.parametrize("channels_last", [False, True])
+def test_custom_operators_are_well_formed(channels_last):
+    def tensor(*shape):
+        x = torch.randn(shape)
+        if channels_last and x.ndim > 3:
+            layout = torch.channels_last if x.ndim == 4 else torch.channels_last_3d
+            x = x.contiguous(memory_format=layout)
+        return x.requires_grad_()
+
+    check = torch.library.opcheck
+    check(depthwise_conv3d, (tensor(2, 8, 4, 5, 6), tensor(8, 1, 3, 3, 3), 2))
+    check(_group_means, (tensor(2, 8, 4, 9), tensor(2, 8, 4, 9), 5, 4))
+    check(_shifted_sums, (*(tensor(2, 6, 4, 9) for _ in range(4)), 5))
+    check(_soft_argmax, (tensor(2, 6, 4, 9), True))
