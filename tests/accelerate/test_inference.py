@@ -9,13 +9,13 @@ from mobilestereonet.accelerate import accelerate, fused
 from mobilestereonet.accelerate.export import guidance_in_four_dimensions
 from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
 from mobilestereonet.accelerate.inference import (
-    closed_form,
     columns_first,
     drop_training_heads,
     images_one_by_one,
     volume_by_planes,
 )
 from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
@@ -25,7 +25,7 @@ from parity import OUTPUTS, authors_state, largest_error
 
 STEPS = (
     fold_norms,
-    closed_form,
+    use_closed_form,
     images_one_by_one,
     drop_training_heads,
     volume_by_planes,

@@ -103,7 +103,7 @@ class StereoModule(L.LightningModule):
 
     def on_fit_start(self) -> None:
         """Make the accelerated form, once the network is on its device."""
-        fast = cast(StereoModel, accelerate(self.net, "training"))
+        fast = accelerate(self.net, "training")
         self._accelerated = (fast.train(),)
 
     def on_fit_end(self) -> None:
