@@ -1,8 +1,9 @@
-"""Refinement by the picture, on pictures whose right answer is known."""
+"""Image-guided refinement, on pictures whose right answer is known."""
 
 import pytest
 import torch
 
+from mobilestereonet.inference import refine
 from mobilestereonet.inference.refine import refine_disparity
 
 BACK, FRONT = 10.0, 40.0
@@ -90,3 +91,13 @@ def test_batches_are_pairs_one_by_one():
         one = slice(index, index + 1)
         assert torch.equal(both[one], refine_disparity(found[one], sure[one], views[one]))
     assert not torch.equal(both, found)
+
+
+def test_nothing_leaves_the_device(monkeypatch):
+    # Tensors of the device "meta" hold no numbers, so the edges are given.
+    edges = torch.zeros(5, 3, dtype=torch.int64, device="meta")
+    monkeypatch.setattr(refine, "_edge_pixels", lambda *_: edges)
+    maps = (torch.rand(2, *size, device="meta") for size in ((24, 80), (24, 80), (3, 24, 80)))
+    refined = refine_disparity(*maps)
+    assert refined.device.type == "meta"
+    assert refined.shape == (2, 24, 80)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+
 from short_run import save_teacher
 
 # The command itself, with batch norms in eval mode, since those of a CPU are not synchronised.

@@ -19,10 +19,10 @@ from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.prepare import pad, unpad
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import build_model
 from mobilestereonet.nets.model import IMAGENET
+from mobilestereonet.nets.operations import pad, unpad
 from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.losses import (

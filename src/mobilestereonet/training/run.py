@@ -25,7 +25,7 @@ from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError
-from mobilestereonet.interruption import ctrl_c_sets
+from mobilestereonet.interruption import sigint_sets_event
 from mobilestereonet.nets import is_model, model_name
 from mobilestereonet.nets.msnet import StereoNet
 from mobilestereonet.scenes import ProceduralScenes
@@ -300,7 +300,7 @@ def train(
         )
     # Lightning cannot know that our batches go on where the checkpoint was written.
     warnings.filterwarnings("ignore", ".*your dataloader is not resumable")
-    with ctrl_c_sets(stop, partial(rank_zero_info, _STOPPING)):
+    with sigint_sets_event(stop, partial(rank_zero_info, _STOPPING)):
         trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=False)
     if average is not None:
         # Lightning does it as well, but not where a resumed run had no step left.
