@@ -365,6 +365,20 @@ def test_the_matcher_goes_to_a_device(net):
         StereoMatcher(Recorder(), precision="bf16")
 
 
+def test_a_device_gives_what_the_cpu_gives(mode_net, device):
+    matcher = StereoMatcher(mode_net, confidence=True, left_right=True)
+    pair = random_pair(40, 60)
+    expected = matcher(*pair)
+    result = matcher.to(device)(*pair)
+    assert result.info.device.startswith(device)
+    assert np.median(np.abs(result.disparity - expected.disparity)) < 0.05
+    assert np.median(np.abs(result.confidence - expected.confidence)) < 0.01
+    views = [torch.from_numpy(view).permute(2, 0, 1)[None].to(device) / 255 for view in pair]
+    found = matcher.infer(*views)
+    assert found.disparity.device == found.confidence.device == views[0].device
+    np.testing.assert_allclose(found.disparity[0].cpu(), result.disparity, rtol=0, atol=1e-3)
+
+
 def test_findings_come_with_the_result(matcher):
     left, right = random_pair(40, 60)
     good = matcher(left, right).findings

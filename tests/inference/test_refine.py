@@ -82,10 +82,10 @@ def test_sure_neighbours_outvote_unsure_ones():
     assert (back == FRONT).float().mean() > 0.2
 
 
-def test_batches_are_pairs_one_by_one():
+def test_batches_are_pairs_one_by_one(device):
     torch.manual_seed(0)
-    found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1)
-    sure, views = torch.rand(2, 24, 80), torch.rand(2, 3, 24, 80)
+    found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1).to(device)
+    sure, views = torch.rand(2, 24, 80).to(device), torch.rand(2, 3, 24, 80).to(device)
     both = refine_disparity(found, sure, views)
     for index in range(2):
         one = slice(index, index + 1)
