@@ -192,7 +192,7 @@ def test_values_of_the_network_are_set(msnet, folder, weights):
     assert code == 0
     assert json.loads(out)["refined"] is True
     for value, message in (
-        ("estimator=mode", "--set estimator: values of the network are named net.NAME"),
+        ("estimator=mode", "--set estimator=mode: write it as net.estimator=mode"),
         ("net.estimator=median", "estimator"),
         ("net.colour=red", "colour"),
     ):

@@ -89,9 +89,9 @@ def network_values(settings: list[str] | None) -> dict[str, Any]:
     from mobilestereonet.errors import InputError
 
     values = parse_assignments(settings or [])
-    for name in values:
+    for name, value in values.items():
         if not name.startswith("net."):
-            raise InputError(f"--set {name}: values of the network are named net.NAME")
+            raise InputError(f"--set {name}={value}: write it as net.{name}={value}")
     return {name.removeprefix("net."): value for name, value in values.items()}
 
 
