@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from short_run import save_teacher
 
 # The command itself, with batch norms in eval mode, since those of a CPU are not synchronised.

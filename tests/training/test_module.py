@@ -5,6 +5,7 @@ import lightning as L
 import pytest
 import torch
 from lightning.pytorch.plugins.precision import MixedPrecision
+from short_run import fit
 
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
@@ -12,7 +13,6 @@ from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe
-from short_run import fit
 
 RECIPE = Recipe(
     model="table3a-v1-v1", max_disparity=32, steps=10, full_heads=2, cross_entropy=1.0, clip=1.0

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors.torch import load_file
+from short_run import save_teacher
 
 from mobilestereonet.data import write_pfm, write_png
-from short_run import save_teacher
 
 STEPS = 14
 VALUES = {
