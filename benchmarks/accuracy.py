@@ -29,7 +29,7 @@ from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.evaluation import evaluate
-from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
+from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.plots import colour_disparity, side_by_side
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.weights import embedded_models
@@ -110,10 +110,7 @@ def main() -> None:
     found = matchers(arguments.weights, arguments.precision)
     if arguments.picture:
         write_png(arguments.picture, picture([motorcycle(), *scenes(3)], found))
-    unrefined = {"precision": arguments.precision, "refine": False}
-    found[f"{DEFAULT_MODEL} --no-refine"] = StereoMatcher.from_pretrained(
-        DEFAULT_MODEL, **unrefined
-    )
+    found["msnet2d --no-refine"] = StereoMatcher(found["msnet2d"].engine, name="msnet2d")
     for model, matcher in found.items():
         for name, samples in sets:
             groups = [(name, samples)]

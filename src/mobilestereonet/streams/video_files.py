@@ -1,4 +1,4 @@
-"""Video files: read frame by frame with the broken ones told, and written."""
+"""Video files: reading frame by frame, with broken frames reported, and writing."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def _pyav() -> Any:
 
 
 class VideoFile:
-    """The pictures of a video file.
+    """Video file as a sequence of pictures.
 
     Attributes:
         path: The file.
         size: Width and height in px.
-        stamps: When its frames are shown, in ticks, in order.
+        stamps: Times at which its frames are shown, in ticks, in order.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -78,11 +78,11 @@ class VideoFile:
             )
 
     def seconds(self, stamp: int) -> float:
-        """When a frame is shown, from the first one on."""
+        """Time of a frame in s, from the first one on."""
         return float((stamp - self.stamps[0]) * self.tick)
 
     def __iter__(self) -> Iterator[tuple[float, Picture | None]]:
-        """When each frame is shown, and its picture, (H, W, 3) uint8 RGB; None if it is damaged."""
+        """Iterate over time in s and picture, (H, W, 3) uint8 RGB, which is None if damaged."""
         # Frames come out later than they go in, and in another order. The time stamps tell which
         # ones never come.
         due = deque(self.stamps)
@@ -131,7 +131,7 @@ def _frames(videos: Sequence[VideoFile]) -> Generator[StereoFrame]:
 
 
 def check_video_file(path: str | Path) -> Path:
-    """The path, if a video can be written in the format that its ending names.
+    """Check that a video can be written in the format that a path's ending names.
 
     Raises:
         InputError: If it can't, or PyAV is not installed.

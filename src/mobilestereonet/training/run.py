@@ -18,7 +18,7 @@ import torch
 
 from mobilestereonet.atomic import make_folder, write_atomically
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.interruption import ctrl_c_sets
+from mobilestereonet.interruption import sigint_sets_event
 from mobilestereonet.nets import is_model, model_config, model_name
 from mobilestereonet.settings import differences
 from mobilestereonet.training.callbacks import (
@@ -137,7 +137,7 @@ def train(
                 f"Learning rate scaled by the global batch: {recipe.lr:g} x {global_batch} / "
                 f"{recipe.lr_batch} = {module.lr:g}"
             )
-        with ctrl_c_sets(stop, partial(rank_zero_info, _STOPPING)):
+        with sigint_sets_event(stop, partial(rank_zero_info, _STOPPING)):
             trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=True)
     if average is not None:
         # Lightning does it as well, but not where a resumed run had no step left.
