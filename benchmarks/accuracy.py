@@ -29,7 +29,7 @@ from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.evaluation import evaluate
-from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
+from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.plots import colour_disparity, side_by_side
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.weights import embedded_models
@@ -63,12 +63,13 @@ def scenes(count: int) -> Iterable[StereoSample]:
 
 def matchers(weights: Iterable[Path], precision: str = "fp32") -> dict[str, StereoMatcher]:
     """Every embedded network, networks of weights files, and StereoSGBM, by their names."""
-    engine = {"runtime": "torch", "precision": precision}
-    found = {name: StereoMatcher.from_pretrained(name, **engine) for name in embedded_models()}
+    found = {
+        name: StereoMatcher.from_pretrained(name, precision=precision) for name in embedded_models()
+    }
     for path in weights:
         if path.stem in found:
             raise SystemExit(f"{path}: {path.stem} is the name of another model: rename the file")
-        found[path.stem] = StereoMatcher.from_pretrained(weights=path, **engine)
+        found[path.stem] = StereoMatcher.from_pretrained(path, precision=precision)
     return found | {"sgbm": StereoMatcher.from_pretrained("sgbm")}
 
 
@@ -109,8 +110,7 @@ def main() -> None:
     found = matchers(arguments.weights, arguments.precision)
     if arguments.picture:
         write_png(arguments.picture, picture([motorcycle(), *scenes(3)], found))
-    default = found[DEFAULT_MODEL]
-    found[f"{DEFAULT_MODEL} --no-refine"] = StereoMatcher(default.runtime, model=DEFAULT_MODEL)
+    found["msnet2d --no-refine"] = StereoMatcher(found["msnet2d"].engine, name="msnet2d")
     for model, matcher in found.items():
         for name, samples in sets:
             groups = [(name, samples)]

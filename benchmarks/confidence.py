@@ -26,9 +26,7 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, default=Path("sparsification.png"))
     arguments = parser.parse_args()
 
-    matcher = StereoMatcher.from_pretrained(
-        arguments.model, runtime="torch", precision="fp32", confidence=True, left_right=True
-    )
+    matcher = StereoMatcher.from_pretrained(arguments.model, confidence=True, left_right=True)
     table = Table("pair", title=f"{arguments.model}: EPE in px without the least confident pixels")
     for column in ("all", "-10 %", "-20 %", "-50 %", "area", "failed check", "the rest"):
         table.add_column(column, justify="right")

@@ -40,6 +40,7 @@ class File:
     threads = None
     preprocessing = RGB
     size_multiple = 32
+    min_side = 1
     has_confidence = False
 
     def __init__(self, path: Path, max_disparity: int) -> None:

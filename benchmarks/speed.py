@@ -47,7 +47,7 @@ from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.engines.benchmark import EagerNetwork
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.memory import keep_freed_memory
-from mobilestereonet.nets import StereoModel, build_model, model_config
+from mobilestereonet.nets import StereoModel, build_model
 from mobilestereonet.weights import embedded_models, load_model
 
 ENGINES = (
@@ -79,8 +79,8 @@ class Case:
         return int(height), int(width)
 
     def macs(self) -> int:
-        config = model_config(self.model, max_disparity=self.max_disparity)
-        return count_costs(config, *self.height_width)["total"].macs
+        costs = count_costs(self.model, *self.height_width, max_disparity=self.max_disparity)
+        return costs["total"].macs
 
     def net(self) -> StereoModel:
         torch.manual_seed(0)

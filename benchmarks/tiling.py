@@ -47,14 +47,13 @@ def main() -> None:
     arguments = parser.parse_args()
 
     # The network's own disparities: the refinement looks at the whole picture in any case.
-    options = {"precision": "fp32", "refine": False}
-    matcher = StereoMatcher.from_pretrained(arguments.model, runtime="torch", **options)
+    matcher = StereoMatcher.from_pretrained(arguments.model, refine=False)
     if arguments.large:
         print(large_pair(matcher))
-    others = {"tiles": StereoMatcher(matcher.runtime, tile=tuple(arguments.tile))}
+    others = {"tiles": StereoMatcher(matcher.engine, tile=tuple(arguments.tile))}
     if importlib.util.find_spec("openvino"):
         others["rounding"] = StereoMatcher.from_pretrained(
-            arguments.model, runtime="openvino", **options
+            arguments.model, engine="openvino", refine=False
         )
     columns = ("pair", "size", "by", "max", "99.9 %", "mean", f"pixels above {LARGE} px")
     changes = Table(*columns, title="change of the whole pair's disparities, px")

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from mobilestereonet.interruption import ctrl_c_sets
+from mobilestereonet.interruption import sigint_sets_event
 
 
 @pytest.fixture(params=[signal.default_int_handler, signal.SIG_IGN, lambda *_: None])
@@ -18,7 +18,7 @@ def handler(request):
 
 def test_the_first_ctrl_c_sets_the_event_the_second_one_interrupts(handler):
     stop, told = threading.Event(), []
-    with ctrl_c_sets(stop, lambda: told.append(stop.is_set())):
+    with sigint_sets_event(stop, lambda: told.append(stop.is_set())):
         inside = signal.getsignal(signal.SIGINT)
         assert (inside is handler) == (handler is not signal.default_int_handler)
         if inside is not handler:
@@ -30,7 +30,7 @@ def test_the_first_ctrl_c_sets_the_event_the_second_one_interrupts(handler):
 
 
 def test_work_that_fails_gives_the_handler_back(handler):
-    with pytest.raises(ZeroDivisionError), ctrl_c_sets(threading.Event()):
+    with pytest.raises(ZeroDivisionError), sigint_sets_event(threading.Event()):
         1 / 0  # noqa: B018
     assert signal.getsignal(signal.SIGINT) is handler
 
@@ -39,7 +39,7 @@ def test_another_thread_leaves_ctrl_c_alone(handler):
     seen = []
 
     def work():
-        with ctrl_c_sets(threading.Event()):
+        with sigint_sets_event(threading.Event()):
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)

@@ -200,14 +200,23 @@ def test_two_ranks_give_what_one_gives(tmp_path):
         assert result == pytest.approx(expected, rel=1e-13)
 
 
-def test_forward_and_reset():
+def test_reset():
     pairs = _random_pairs(2)
     metrics = StereoMetrics()
     for prediction, sample in pairs:
-        metrics(prediction[None], collate([sample]))
+        metrics.update(prediction[None], collate([sample]))
     assert metrics.compute().masks["all"].images == 2
     metrics.reset()
-    assert metrics.images.sum() == 0
+    assert metrics.compute().masks["all"].images == 0
+
+
+def test_on_each_device(device):
+    pairs = _random_pairs(3)
+    metrics = StereoMetrics()
+    for prediction, sample in pairs:
+        metrics.update(prediction[None].to(device), collate([sample]))
+    expected = _flat(_add(StereoMetrics(), pairs, 3).compute())
+    assert _flat(metrics.compute()) == pytest.approx(expected, rel=1e-5)
 
 
 def test_any_n():

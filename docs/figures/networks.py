@@ -39,16 +39,16 @@ def draw_network(model: str, path: Path) -> None:
     config = model_config(model)
     axes = canvas(1000, 545)
     label(axes, 20, 22, f"{_TITLES[model]} (msnet models: {model})", bold=True, align="left")
-    _pipeline(axes, config)
+    _pipeline(axes, model, config)
     _hourglass(axes, config)
     save(axes.figure, path)
 
 
-def _pipeline(axes: Axes, config: NetConfig) -> None:
-    costs = count_costs(config, height=_HEIGHT, width=_WIDTH)
+def _pipeline(axes: Axes, model: str, config: NetConfig) -> None:
+    costs = count_costs(model, height=_HEIGHT, width=_WIDTH)
 
     def share(*names: str) -> str:
-        macs = sum(costs[name].macs for name in names)
+        macs = sum(costs[name].macs for name in names if name in costs)
         return f"{macs / 1e9:.2f} G" if macs else "no weights"
 
     reduced = config.channel_reduction
@@ -71,14 +71,14 @@ def _pipeline(axes: Axes, config: NetConfig) -> None:
     ]
     if reduced:
         features += ["reduced to", f"{REDUCED_CHANNELS} x {size}"]
-    features.append(share("features", "channel reduction"))
+    features.append(share("features", "reduction"))
     box(axes, 124, 50, 132, 164, FEATURES, *features, "shared by both views")
     for y in (87, 177):
         arrow(axes, (256, y), (330, y))
         label(axes, 293, y - 9, per_view.split(" x ")[0] + " ch.", quiet=True)
-    box(axes, 330, 50, 140, 164, VOLUME, "cost volume", kind, volume, share("cost volume"))
+    box(axes, 330, 50, 140, 164, VOLUME, "cost volume", kind, volume, share("volume"))
     arrow(axes, (470, 132), (490, 132))
-    box(axes, 490, 82, 126, 100, DECODER, "pre-hourglass", blocks, hidden, share("pre-hourglass"))
+    box(axes, 490, 82, 126, 100, DECODER, "pre-hourglass", blocks, hidden, share("pre_hourglass"))
     arrow(axes, (616, 132), (632, 132))
     count = config.hourglasses
     for index in reversed(range(count)):

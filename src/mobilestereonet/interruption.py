@@ -1,4 +1,4 @@
-"""Ctrl-C as a wish to stop at the next good place."""
+"""Graceful handling of SIGINT (Ctrl-C)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from threading import Event, current_thread, main_thread
 
 
 @contextmanager
-def ctrl_c_sets(stop: Event, tell: Callable[[], object] = lambda: None) -> Iterator[None]:
+def sigint_sets_event(stop: Event, notify: Callable[[], object] = lambda: None) -> Iterator[None]:
     """Within, the first Ctrl-C sets an event; the second one interrupts as usual.
 
     Where Ctrl-C is not Python's own (a process in the background that ignores it, another handler)
@@ -17,7 +17,7 @@ def ctrl_c_sets(stop: Event, tell: Callable[[], object] = lambda: None) -> Itera
 
     Args:
         stop: The event, which the work within looks at.
-        tell: Called at the first Ctrl-C.
+        notify: Called at the first Ctrl-C.
     """
     usual = signal.default_int_handler
     if signal.getsignal(signal.SIGINT) is not usual or current_thread() is not main_thread():
@@ -27,7 +27,7 @@ def ctrl_c_sets(stop: Event, tell: Callable[[], object] = lambda: None) -> Itera
     def ask(*_: object) -> None:
         stop.set()
         signal.signal(signal.SIGINT, usual)
-        tell()
+        notify()
 
     signal.signal(signal.SIGINT, ask)
     try:

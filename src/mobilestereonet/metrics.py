@@ -11,7 +11,6 @@ import torch
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
-from torchmetrics import Metric
 
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
@@ -19,7 +18,7 @@ from mobilestereonet.errors import InputError
 MASKS = ("all", "noc", "occ", "fg", "bg")
 
 
-@dataclass
+@dataclass(frozen=True)
 class MaskScores:
     """Error figures over the pixels of one mask.
 
@@ -41,7 +40,7 @@ class MaskScores:
     pixels: int
 
 
-@dataclass
+@dataclass(frozen=True)
 class StereoScores:
     """Result of `StereoMetrics`: the figures of each mask; prints as a table.
 
@@ -50,8 +49,6 @@ class StereoScores:
         min_share: See `StereoMetrics`.
         masks: The figures of each mask that the data has; ``all`` is always there.
     """
-
-    # Not frozen: torchmetrics copies what `compute` returns field by field.
 
     max_disparity: float
     min_share: float
@@ -122,8 +119,8 @@ class StereoScores:
         return capture.get().rstrip()
 
 
-class StereoMetrics(Metric):
-    """Metric of `torchmetrics`: EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
+class StereoMetrics:
+    """Metric of stereo matching: EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
 
     EPE is the mean absolute disparity error in px; px-n the share of the pixels whose error is
     above n px; D1 the share whose error is above 3 px and above 5 % of the ground truth; shares
@@ -134,23 +131,11 @@ class StereoMetrics(Metric):
     All states are sums over images, so they add up over batches and ranks.
     """
 
-    full_state_update = False
-    is_differentiable = False
-    higher_is_better = False
-
-    image_sums: Tensor
-    pixel_sums: Tensor
-    images: Tensor
-    empty: Tensor
-    skipped: Tensor
-    pixels: Tensor
-
     def __init__(
         self,
         max_disparity: float = 192.0,
         thresholds: Sequence[float] = (1, 2, 3),
         min_share: float = 0.0,
-        **kwargs: Any,
     ) -> None:
         """Initialise with all sums at zero.
 
@@ -160,12 +145,10 @@ class StereoMetrics(Metric):
             thresholds: The n of px-n, in px.
             min_share: Skip and count an image where less than this share of the pixels with
                 ground truth is in that range (the authors' release: 0.1).
-            **kwargs: For `torchmetrics.Metric`.
 
         Raises:
             InputError: If a value is out of its range.
         """
-        super().__init__(**kwargs)
         if not max_disparity > 0:
             raise InputError(f"max_disparity must be positive, got {max_disparity}")
         if not 0 <= min_share <= 1:
@@ -176,12 +159,14 @@ class StereoMetrics(Metric):
         self.min_share = float(min_share)
         self.thresholds = tuple(thresholds)
         self.names = ("epe", "d1", *(f"px-{threshold:g}" for threshold in self.thresholds))
-        for state in ("image_sums", "pixel_sums"):
-            zeros = torch.zeros(len(MASKS), len(self.names), dtype=torch.float64)
-            self.add_state(state, zeros, dist_reduce_fx="sum")
-        for state in ("images", "empty", "skipped", "pixels"):
-            zeros = torch.zeros(len(MASKS), dtype=torch.int64)
-            self.add_state(state, zeros, dist_reduce_fx="sum")
+        self.reset()
+
+    def reset(self) -> None:
+        """Set all sums to zero."""
+        self.image_sums = torch.zeros(len(MASKS), len(self.names), dtype=torch.float64)
+        self.pixel_sums = torch.zeros_like(self.image_sums)
+        zeros = torch.zeros(len(MASKS), dtype=torch.int64)
+        self.images, self.empty, self.skipped, self.pixels = (zeros.clone() for _ in range(4))
 
     def update(self, prediction: Tensor, batch: StereoSample) -> None:
         """Add a batch of predictions.
@@ -223,14 +208,20 @@ class StereoMetrics(Metric):
 
     def compute(self) -> StereoScores:
         """Figures of everything added, over all ranks."""
+        image_sums, pixel_sums = _over_ranks(self.image_sums), _over_ranks(self.pixel_sums)
+        states = (self.images, self.empty, self.skipped, self.pixels)
+        counts = torch.stack([_over_ranks(state) for state in states], dim=1).tolist()
         masks = {}
         for index, name in enumerate(MASKS):
-            counts = [int(s[index]) for s in (self.images, self.empty, self.skipped, self.pixels)]
-            if name == "all" or any(counts):
+            images, empty, skipped, pixels = counts[index]
+            if name == "all" or any(counts[index]):
                 masks[name] = MaskScores(
-                    self._means(self.image_sums[index], counts[0]),
-                    self._means(self.pixel_sums[index], counts[3]),
-                    *counts,
+                    self._means(image_sums[index], images),
+                    self._means(pixel_sums[index], pixels),
+                    images,
+                    empty,
+                    skipped,
+                    pixels,
                 )
         return StereoScores(self.max_disparity, self.min_share, masks)
 
@@ -244,6 +235,17 @@ class StereoMetrics(Metric):
     def _means(self, sums: Tensor, count: int) -> dict[str, float | None]:
         values = [float(total) / count if count else None for total in sums]
         return dict(zip(self.names, values, strict=True))
+
+
+def _over_ranks(state: Tensor) -> Tensor:
+    """Sum over all ranks of a distributed run; the state itself outside of one."""
+    distributed = torch.distributed
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return state
+    # NCCL adds on GPUs alone.
+    total = state.cuda() if distributed.get_backend() == "nccl" else state.clone()
+    distributed.all_reduce(total)
+    return total.cpu()
 
 
 def _masks(scored: Tensor, batch: StereoSample) -> Iterator[tuple[int, Tensor]]:

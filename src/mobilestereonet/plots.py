@@ -20,7 +20,7 @@ from torch import Tensor
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 
 MapLike = Tensor | NDArray[Any]
 _Curve = tuple[list[float], list[float]]
@@ -206,8 +206,9 @@ def plot_curves(logs: Sequence[Path], picture: Path) -> None:
         InputError: If the logs have no curve.
     """
     # Imported here: pictures of disparities need no matplotlib, and its import is slow.
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogFormatter, MaxNLocator
+    with needs_extra("plots"):
+        from matplotlib.figure import Figure
+        from matplotlib.ticker import LogFormatter, MaxNLocator
 
     families: dict[str, dict[str, list[_Curve]]] = defaultdict(lambda: defaultdict(list))
     for log in logs:

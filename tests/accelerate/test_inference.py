@@ -1,6 +1,4 @@
 import copy
-import importlib.util
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,23 +9,23 @@ from mobilestereonet.accelerate import accelerate, fused
 from mobilestereonet.accelerate.export import guidance_in_four_dimensions
 from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
 from mobilestereonet.accelerate.inference import (
-    closed_form,
     columns_first,
     drop_training_heads,
     images_one_by_one,
     volume_by_planes,
 )
 from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.coarse_pass import guidance_from_scores
 from mobilestereonet.weights import load_model
+from parity import OUTPUTS, authors_state, largest_error
 
-TESTS = Path(__file__).parents[1]
 STEPS = (
     fold_norms,
-    closed_form,
+    use_closed_form,
     images_one_by_one,
     drop_training_heads,
     volume_by_planes,
@@ -84,19 +82,11 @@ def test_every_step_keeps_the_result(name, coarse_pass, monkeypatch):
     assert not any(isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d) for module in net.modules())
 
 
-def parity():
-    spec = importlib.util.spec_from_file_location("parity", TESTS / "weights/test_authors.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
 def test_equals_the_authors_networks(name, tmp_path):
-    fixture = parity()
-    torch.save(fixture.authors_state(name), tmp_path / "checkpoint.ckpt")
+    torch.save(authors_state(name), tmp_path / "checkpoint.ckpt")
     net = accelerate(load_model(tmp_path / "checkpoint.ckpt").double(), "inference")
-    assert fixture.largest_error(net, torch.float64, fixture.OUTPUTS[name], seed=7) < 1e-6
+    assert largest_error(net, torch.float64, OUTPUTS[name], seed=7) < 1e-6
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-4), (torch.bfloat16, 0.5)])
@@ -209,6 +199,7 @@ def operators(net):
 
 @pytest.mark.parametrize(("name", "calls"), [("msnet2d", 690), ("msnet3d", 700)])
 def test_number_of_operators(name, calls):
+    fused.has_onednn_operators(torch.float32)  # at its first call it runs some itself
     net = build_model(name, max_disparity=32).eval()
     plain, fast = operators(net), operators(accelerate(net, "inference"))
     # Norms and all activations after convolutions are gone; the ReLU of a sum and of the cost

@@ -19,8 +19,10 @@ from mobilestereonet.weights import embedded
 @pytest.fixture(scope="session")
 def weights(tmp_path_factory):
     torch.manual_seed(1)
-    path = tmp_path_factory.mktemp("weights") / "msnet2d.test-1.safetensors"
-    save_weights(create_model("msnet2d", max_disparity=32), path, card={"licence": "MIT"})
+    folder = tmp_path_factory.mktemp("weights")
+    for name in ("msnet3d", "msnet2d"):
+        path = folder / f"{name}.test-1.safetensors"
+        save_weights(create_model(name, max_disparity=32), path, card={"licence": "MIT"})
     return path
 
 
@@ -61,14 +63,15 @@ def test_predict_writes_what_the_library_gives(msnet, folder):
     code, out, err = msnet("predict", left, right, "-o", output, "--weights", net, "--json")
     assert (code, err) == (0, "")
     facts = json.loads(out)
-    assert (facts["model"], facts["runtime"]) == ("msnet2d", "torch")
+    assert (facts["model"], facts["engine"]) == ("msnet2d", "torch")
     assert (facts["width"], facts["height"]) == (40, 20)
     assert facts["seconds"] > 0
+    assert facts["findings"][0]["check"] == "content"
     files = [f"left_{end}" for end in ("disparity.png", "disparity.pfm", "disparity.npy")]
     assert sorted(facts["files"].values()) == sorted(
         str(output / name) for name in [*files, "left_picture.png"]
     )
-    expected = StereoMatcher.from_pretrained(weights=net)(left, right).disparity
+    expected = StereoMatcher.from_pretrained(net, precision="auto")(left, right).disparity
     np.testing.assert_allclose(np.load(facts["files"]["npy"]), expected, rtol=0, atol=1e-3)
     levels = cv2.imread(facts["files"]["png"], cv2.IMREAD_UNCHANGED)
     np.testing.assert_allclose(levels / 256, expected, rtol=0, atol=1 / 256)
@@ -82,7 +85,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
     before = tree(folder)
     code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
     assert code == 0
-    assert re.match("msnet2d on torch (fp32|bf16), 40x20: ", out)
+    assert re.match("msnet3d on torch (fp32|bf16), 40x20: ", out)
     for line in out.splitlines()[1:]:
         assert line.startswith(str(folder / "left_"))
     after = tree(folder)
@@ -154,11 +157,21 @@ def test_demo_scores_the_motorcycle(msnet, tmp_path):
     figures = f"EPE {error.mean():.3f} px, D1 {d1:.2f} %, px-3 {100 * np.mean(error > 3):.2f} %"
     assert figures in out
     assert f"over {known.sum()} pixels" in out
+    assert "faster" not in out
     assert re.search(r"Time \d+\.\d\d s", out)
     assert str(tmp_path / "motorcycle_picture.png") in out
     picture = cv2.imread(str(tmp_path / "motorcycle_picture.png"))
     assert picture.shape[0] == 500
     assert picture.shape[1] > 2 * 741
+
+
+def test_demo_tells_the_time_of_both_models(msnet, tmp_path, weights, monkeypatch):
+    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
+    code, out, _ = msnet("demo", "-o", tmp_path, "--threads", 1)
+    assert code == 0
+    assert re.match("Middlebury's Motorcycle, msnet3d on torch (fp32|bf16), 741x500\n", out)
+    assert re.search(r"\nTime \d+\.\d\d s", out)
+    assert re.search(r"\nThe faster model, --model msnet2d: \d+\.\d\d s, EPE \d+", out)
 
 
 def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):
@@ -171,3 +184,18 @@ def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):
     known = np.isfinite(disparity)
     expected = 994.978 * 0.193001 / (disparity[known] + 31.086)
     np.testing.assert_allclose(np.load(depth)[known], expected, rtol=1e-4)
+
+
+def test_values_of_the_network_are_set(msnet, folder, weights):
+    pair = folder / "left.png", folder / "right.png", "-o", folder / "maps", "--weights", weights
+    code, out, _ = msnet("predict", *pair, "--json", "--set", "net.estimator=mode")
+    assert code == 0
+    assert json.loads(out)["refined"] is True
+    for value, message in (
+        ("estimator=mode", "--set estimator=mode: write it as net.estimator=mode"),
+        ("net.estimator=median", "estimator"),
+        ("net.colour=red", "colour"),
+    ):
+        code, out, err = msnet("predict", *pair, "--set", value)
+        assert (code, out) == (2, "")
+        assert re.fullmatch(rf"msnet: .*{message}.*\n", err)

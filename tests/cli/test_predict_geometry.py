@@ -93,7 +93,7 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--calib", "left.png"), "left.png: unknown calibration format"),
         (("--depth", "d.exr"), "d.exr: depth is written as"),
         (("--points", "p.obj"), "p.obj: points are written as"),
-        (("--confidence",), "sgbm tells no confidence"),
+        (("--confidence",), "sgbm has no confidence"),
     ],
 )
 def test_bad_input_writes_nothing(msnet, folder, options, message):

@@ -105,6 +105,7 @@ def _run_command(words, monkeypatch, capsys, where):
     assert not ended.value.code, f"{where}: {shlex.join(words)}: {printed.out}{printed.err}"
 
 
+@pytest.mark.slow
 @pages
 def test_blocks_run(page, shared_files, tmp_path, monkeypatch, capsys):
     if page.name == "CONTRIBUTING.md":

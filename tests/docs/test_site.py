@@ -9,6 +9,7 @@ import pytest
 from pages import PAGES, ROOT
 
 
+@pytest.mark.slow
 def test_the_site_is_built_strictly(tmp_path):
     for package in ("mkdocs", "material", "mkdocstrings_handlers.python"):
         pytest.importorskip(package)

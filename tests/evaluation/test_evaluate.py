@@ -19,7 +19,7 @@ from mobilestereonet.evaluation import (
     evaluate,
     save_evaluations,
 )
-from mobilestereonet.nets import build_model
+from mobilestereonet.nets import Prediction, build_model
 from mobilestereonet.settings import parse_assignments
 from mobilestereonet.weights import save_weights
 
@@ -215,7 +215,7 @@ def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monk
     seen = []
     monkeypatch.setattr(
         "mobilestereonet.engines.torch.TorchEngine.__call__",
-        lambda self, left, right: seen.append(left) or left[:, 0],
+        lambda self, left, right, confidence: seen.append(left) or Prediction(left[:, 0]),
     )
     command("kitti2015", kitti, weights=weights, authors=True, json=report)
     assert {tuple(view.shape) for view in seen} == {(1, 3, 384, 1248)}

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 import torch
+from fake_engines import FakeEngine
 
 from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.inference.consistency import occluded_pixels
+from mobilestereonet.nets.model import Prediction
 
 
 def test_a_box_before_a_wall():
@@ -16,32 +18,30 @@ def test_a_box_before_a_wall():
     right[:, 4:9] = 6
     hidden = np.zeros((3, 24), bool)
     hidden[:, [0, 1, 6, 7, 8, 9]] = True
-    np.testing.assert_array_equal(occluded_pixels(left, right), hidden)
+    maps = (torch.from_numpy(map_).expand(2, -1, -1) for map_ in (left, right))
+    for found in occluded_pixels(*maps):
+        np.testing.assert_array_equal(found, hidden)
 
 
 def test_small_differences_agree_and_unknown_does_not():
-    left, right = np.full((2, 2, 8), 0, np.float32)
+    left, right = torch.zeros(2, 2, 8)
     right[:] = 0.9
     assert not occluded_pixels(left, right).any()
     right[:] = 1.1
     assert occluded_pixels(left, right).all()
-    left[0, 3] = np.inf
-    left[0, 4] = np.nan
+    left[0, 3] = torch.inf
+    left[0, 4] = torch.nan
     right[:] = 0
-    np.testing.assert_array_equal(np.argwhere(occluded_pixels(left, right)), [[0, 3], [0, 4]])
+    assert occluded_pixels(left, right).nonzero().tolist() == [[0, 3], [0, 4]]
 
 
-class Bright:
+class Bright(FakeEngine):
     """An engine that knows the truth: a pixel's disparity is ten times its brightness."""
 
     name = "bright"
-    precision = "fp32"
-    normalised = False
-    multiple = 1
-    max_disparity = 16
 
-    def __call__(self, left, right):
-        return (10 * left.mean(dim=1)).round()
+    def __call__(self, left, right, confidence=False):
+        return Prediction((10 * left.mean(dim=1)).round())
 
 
 def test_matcher_gives_the_right_view_and_the_check():
@@ -60,8 +60,11 @@ def test_matcher_gives_the_right_view_and_the_check():
 class Sure(Bright):
     """It is as sure as the right view is bright."""
 
-    def with_confidence(self, left, right):
-        return self(left, right), right.mean(dim=1)
+    has_confidence = True
+
+    def __call__(self, left, right, confidence=False):
+        found = super().__call__(left, right)
+        return Prediction(found.disparity, right.mean(dim=1)) if confidence else found
 
 
 def test_matcher_gives_the_confidence_whole_and_in_tiles():
@@ -70,11 +73,12 @@ def test_matcher_gives_the_confidence_whole_and_in_tiles():
         result = StereoMatcher(Sure(), confidence=True, tile=tile)(left, right)
         np.testing.assert_allclose(result.confidence, right, atol=1e-6)
         np.testing.assert_allclose(result.disparity, (10 * left).round(), atol=1e-5)
-    with pytest.raises(InputError, match="bright tells no confidence"):
+    with pytest.raises(InputError, match="bright has no confidence"):
         StereoMatcher(Bright(), confidence=True)
 
 
 def test_the_network_gives_both_at_once():
+    torch.manual_seed(0)
     net = create_model("msnet2d", max_disparity=32)
     matcher = StereoMatcher(net, confidence=True, left_right=True)
     left, right = np.random.default_rng(0).random((2, 30, 50), dtype=np.float32)

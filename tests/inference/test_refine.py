@@ -1,8 +1,9 @@
-"""Refinement by the picture, on pictures whose right answer is known."""
+"""Image-guided refinement, on pictures whose right answer is known."""
 
 import pytest
 import torch
 
+from mobilestereonet.inference import refine
 from mobilestereonet.inference.refine import refine_disparity
 
 BACK, FRONT = 10.0, 40.0
@@ -81,12 +82,22 @@ def test_sure_neighbours_outvote_unsure_ones():
     assert (back == FRONT).float().mean() > 0.2
 
 
-def test_batches_are_pairs_one_by_one():
+def test_batches_are_pairs_one_by_one(device):
     torch.manual_seed(0)
-    found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1)
-    sure, views = torch.rand(2, 24, 80), torch.rand(2, 3, 24, 80)
+    found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1).to(device)
+    sure, views = torch.rand(2, 24, 80).to(device), torch.rand(2, 3, 24, 80).to(device)
     both = refine_disparity(found, sure, views)
     for index in range(2):
         one = slice(index, index + 1)
         assert torch.equal(both[one], refine_disparity(found[one], sure[one], views[one]))
     assert not torch.equal(both, found)
+
+
+def test_nothing_leaves_the_device(monkeypatch):
+    # Tensors of the device "meta" hold no numbers, so the edges are given.
+    edges = torch.zeros(5, 3, dtype=torch.int64, device="meta")
+    monkeypatch.setattr(refine, "_edge_pixels", lambda *_: edges)
+    maps = (torch.rand(2, *size, device="meta") for size in ((24, 80), (24, 80), (3, 24, 80)))
+    refined = refine_disparity(*maps)
+    assert refined.device.type == "meta"
+    assert refined.shape == (2, 24, 80)

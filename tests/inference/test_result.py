@@ -7,6 +7,7 @@ import pytest
 from mobilestereonet import Calibration, StereoResult
 from mobilestereonet.data.disparity_files import read_disparity
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference import RunInfo
 
 
 @pytest.fixture
@@ -48,9 +49,9 @@ def test_a_least_confidence_needs_a_confidence(result):
 
 
 def test_printing_a_result_tells_no_pixels(result):
-    facts = {"model": "msnet2d", "runtime": "torch", "precision": "bf16", "seconds": 1 / 3}
+    info = RunInfo("msnet2d", "torch", "bf16", "cpu", True, 3, 2, 1 / 3)
     text = "StereoResult(3x2, disparity 0.0 to 300.0 px, msnet2d, torch, bf16)"
-    assert repr(replace(result, facts=facts)) == text
+    assert repr(replace(result, info=info)) == text
     unknown = replace(result, valid=np.zeros((2, 3), dtype=bool))
     assert repr(unknown) == "StereoResult(3x2, no match)"
 
@@ -112,3 +113,15 @@ def test_saved_confidence_and_check(result, tmp_path):
     assert levels.tolist() == [[1, 512, 1280], [51328, 0, 4608]]
     mask = cv2.imread(str(paths["occluded"]), cv2.IMREAD_UNCHANGED)
     assert mask.tolist() == [[255, 0, 0], [0, 255, 0]]
+
+
+def test_a_notebook_shows_the_picture(result):
+    shown = cv2.imdecode(np.frombuffer(result._repr_png_(), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(shown[..., ::-1], result.picture())
+    wide = StereoResult(
+        np.zeros((30, 3000, 3), np.uint8),
+        np.ones((30, 3000), np.float32),
+        np.ones((30, 3000), bool),
+    )
+    shown = cv2.imdecode(np.frombuffer(wide._repr_png_(), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert shown.shape == (6, 1280, 3)

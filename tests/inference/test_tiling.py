@@ -2,58 +2,54 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from fake_engines import FakeEngine
 
 from mobilestereonet import InputError, StereoMatcher
-from mobilestereonet.inference import matcher as matcher_module
-from mobilestereonet.inference.tiling import BLEND, CONTEXT
+from mobilestereonet.inference import predict
+from mobilestereonet.inference.tiling import BLEND_PX, CONTEXT_PX
+from mobilestereonet.nets.model import Prediction
 
 RANGE = 40
 
 
-class Field:
+class Field(FakeEngine):
     """An engine that looks exactly as far as the margins allow, on a grid of 16 px.
 
-    Each block of 16 x 16 px gets the mean of the left view over the blocks up to `CONTEXT` px
+    Each block of 16 x 16 px gets the mean of the left view over the blocks up to `CONTEXT_PX` px
     around, and the right view's block that lies 48 px, the range on the grid, beyond that to the
     left.
     """
 
-    name = "field"
-    precision = "fp32"
-    normalised = False
-    multiple = 16
+    size_multiple = 16
     max_disparity = RANGE
 
     def __init__(self):
         self.sizes = []
 
-    def __call__(self, left, right):
+    def __call__(self, left, right, confidence=False):
         assert left.shape == right.shape
         self.sizes.append(tuple(left.shape[-2:]))
         left, right = (F.avg_pool2d(view.mean(1, keepdim=True), 16) for view in (left, right))
-        around = CONTEXT // 16
+        around = CONTEXT_PX // 16
         left = F.avg_pool2d(F.pad(left, [around] * 4), 2 * around + 1, stride=1)
         shift = around + 48 // 16
         right = F.pad(right, (shift, 0))[..., : right.shape[-1]]
         blocks = (left + right).squeeze(1)
-        return blocks.repeat_interleave(16, dim=1).repeat_interleave(16, dim=2)
+        return Prediction(blocks.repeat_interleave(16, dim=1).repeat_interleave(16, dim=2))
 
 
-class Constants:
+class Constants(FakeEngine):
     """An engine that gives another constant at each call."""
 
-    name = "constants"
-    precision = "fp32"
-    normalised = False
-    multiple = 16
+    size_multiple = 16
     max_disparity = RANGE
 
     def __init__(self):
         self.calls = 0
 
-    def __call__(self, left, right):
+    def __call__(self, left, right, confidence=False):
         self.calls += 1
-        return torch.full((len(left), *left.shape[-2:]), float(self.calls % 2))
+        return Prediction(torch.full((len(left), *left.shape[-2:]), float(self.calls % 2)))
 
 
 def random_views(height, width, batch=1):
@@ -99,12 +95,12 @@ def test_a_disagreement_fades_over_the_blend():
     assert result.max() == 1
     # A smooth step over n px is nowhere steeper than 1.5 / n; rows and columns of tiles meet.
     for steps in (result.diff(dim=0), result.diff(dim=1)):
-        assert steps.abs().max() < 2 * 1.5 / BLEND
+        assert steps.abs().max() < 2 * 1.5 / BLEND_PX
 
 
 def test_large_pairs_are_tiled_by_default(monkeypatch):
-    monkeypatch.setattr(matcher_module, "WHOLE_PIXELS", 600 * 640)
-    monkeypatch.setattr(matcher_module, "TILE", (448, 608))
+    monkeypatch.setattr(predict, "MAX_UNTILED_PIXELS", 600 * 640)
+    monkeypatch.setattr(predict, "TILE_SIZE", (448, 608))
     engine = Field()
     StereoMatcher(engine).disparity(*random_views(600, 640))
     assert engine.sizes == [(608, 640)]

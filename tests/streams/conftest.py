@@ -13,9 +13,9 @@ class CountingMatcher(StereoMatcher):
 
     count = 0
 
-    def __call__(self, left, right=None):
+    def match(self, pair):
         self.count += 1
-        return super().__call__(left, right)
+        return super().match(pair)
 
 
 @pytest.fixture

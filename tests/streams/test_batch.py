@@ -10,7 +10,7 @@ from noise_pairs import centre
 from mobilestereonet.data import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MAP_KINDS, MapFiles, find_pairs, match_pairs
-from mobilestereonet.streams.pairs import Pair
+from mobilestereonet.streams.pairs import PairFiles
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_a_pair_is_finished_when_all_its_maps_are_there(pairs, matcher, tmp_path
 def test_every_kind_of_map_is_written_and_read_back(pairs, matcher, tmp_path):
     files = MapFiles(tmp_path / "maps", MAP_KINDS)
     calibration = Calibration(focal=50, baseline=0.1)
-    deep = Pair("deep/er/x", pairs[2].left, pairs[2].right, calibration)
+    deep = PairFiles("deep/er/x", pairs[2].left, pairs[2].right, calibration)
     assert [outcome.problem for outcome in match_pairs([deep], matcher, files)] == [""]
     names = {path.name for path in (files.folder / "deep" / "er").iterdir()}
     assert names == {f"x_{kind}" for kind in MAP_KINDS}

@@ -28,7 +28,7 @@ def test_a_side_by_side_capture_is_split(write_capture):
     assert [frame.index for frame in frames] == [0, 1, 2, 3]
     assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3])
     for frame, colour in zip(frames, colours, strict=True):
-        for view, expected in zip(frame.views, colour, strict=True):
+        for view, expected in zip((frame.pair.left, frame.pair.right), colour, strict=True):
             assert view.shape == (3, 48, 160)
             middle = 255 * view[:, 10:-10, 10:-10].mean(dim=(1, 2)).numpy()
             assert middle == pytest.approx(expected, abs=5)
@@ -39,7 +39,7 @@ def test_two_captures_end_with_the_shorter_one(write_capture):
     first, second = write_capture("l.avi", left), write_capture("r.avi", right[:2])
     frames = list(open_stream(f"file://{first}", f"file://{second}").frames)
     assert len(frames) == 2
-    assert frames[0].views[1].shape == (3, 48, 160)
+    assert frames[0].pair.right.shape == (3, 48, 160)
 
 
 def test_a_live_capture_does_not_wait(write_capture, monkeypatch, matcher, tmp_path):
@@ -59,13 +59,13 @@ def test_a_live_capture_does_not_wait(write_capture, monkeypatch, matcher, tmp_p
 
         maps = MapFiles(tmp_path / "maps")
         with pytest.warns(UserWarning, match=r"camera.avi: gave no more pictures after 40 frames"):
-            tally = match_video(stream, matcher, frames=maps, report=slowly)
+            stats = match_video(stream, matcher, frames=maps, report=slowly)
         server.shutdown()
     assert reported == sorted(set(reported))
     assert reported[-1] == 39
-    assert tally.matched == len(reported) < 40
-    assert tally.matched + tally.passed_over == 40
-    assert len(list((tmp_path / "maps").iterdir())) == tally.matched
+    assert stats.matched == len(reported) < 40
+    assert stats.matched + stats.dropped == 40
+    assert len(list((tmp_path / "maps").iterdir())) == stats.matched
 
 
 def test_a_picture_that_cannot_be_decoded_is_told(write_capture, monkeypatch):
@@ -87,14 +87,14 @@ def test_a_picture_that_cannot_be_decoded_is_told(write_capture, monkeypatch):
     opened = captures.cv2.VideoCapture
     monkeypatch.setattr(captures.cv2, "VideoCapture", Flawed)
     frames = list(open_stream(f"file://{path}").frames)
-    assert [frame.views is None for frame in frames] == [False, True, False]
+    assert [frame.pair is None for frame in frames] == [False, True, False]
     assert "damaged" in frames[1].problem
 
 
 @pytest.mark.parametrize("shapes", [[(48, 321, 3)], [(48, 160, 3), (50, 160, 3)]])
 def test_a_frame_of_another_geometry_is_told_not_raised(shapes):
     frame = make_frame(4, 0.4, [np.zeros(shape, np.uint8) for shape in shapes])
-    assert (frame.index, frame.views) == (4, None)
+    assert (frame.index, frame.pair) == (4, None)
     assert "one size" in frame.problem
 
 

@@ -17,14 +17,16 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 from mobilestereonet.streams.cluster import _Worker
 
+pytestmark = pytest.mark.slow
+
 COUNT = 24
 
 
 class DyingMatcher(StereoMatcher):
     """Notes each pair that it matches; the process that comes to ``deadly`` first is killed."""
 
-    def __call__(self, left, right=None):
-        result = super().__call__(left, right)
+    def match(self, pair):
+        result = super().match(pair)
         disparity = round(float(np.median(centre(result.disparity))))
         with (self.folder / "matched.txt").open("a") as file:
             file.write(f"{disparity} {os.getpid()}\n")

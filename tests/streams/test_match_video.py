@@ -13,7 +13,7 @@ from mobilestereonet import StereoResult
 from mobilestereonet.data import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams import MapFiles, Stream, match_video, open_stream
-from mobilestereonet.streams.video import SteadyRange
+from mobilestereonet.streams.video import SmoothedRange
 
 
 def flat(disparity):
@@ -30,7 +30,7 @@ def opened(sequence):
 
 
 def test_the_range_of_colours_follows_slowly():
-    colours = SteadyRange(memory=2.0)
+    colours = SmoothedRange(memory=2.0)
     assert colours.update(0, flat(40)) == 40
     # After two seconds (one memory) of 80, a share of 1 - 1/e of the way is gone.
     values = [colours.update(0.1 * step, flat(80)) for step in range(1, 21)]
@@ -44,10 +44,10 @@ def test_each_frame_gets_its_own_map(sequence, matcher, tmp_path):
     maps = MapFiles(tmp_path / "maps", ("disparity.png", "depth.png"))
     calibration = Calibration(focal=100, baseline=0.2)
     reported = []
-    tally = match_video(
+    stats = match_video(
         opened(sequence), matcher, frames=maps, calibration=calibration, report=reported.append
     )
-    assert (tally.matched, tally.broken, tally.passed_over) == (11, 0, 0)
+    assert (stats.matched, stats.broken, stats.dropped) == (11, 0, 0)
     assert [frame.name for frame in reported] == [f"view_{index}" for index in range(11)]
     for index in range(11):
         stored = cv2.imread(str(maps.path(f"view_{index}", "disparity.png")), -1) / 256
@@ -59,8 +59,8 @@ def test_each_frame_gets_its_own_map(sequence, matcher, tmp_path):
 def test_a_broken_frame_is_reported_and_skipped(sequence, matcher, tmp_path):
     (sequence / "right" / "view_4.png").write_bytes(b"broken")
     maps, reported = MapFiles(tmp_path / "maps"), []
-    tally = match_video(opened(sequence), matcher, frames=maps, report=reported.append)
-    assert (tally.matched, tally.broken, tally.passed_over) == (10, 1, 0)
+    stats = match_video(opened(sequence), matcher, frames=maps, report=reported.append)
+    assert (stats.matched, stats.broken, stats.dropped) == (10, 1, 0)
     assert [frame.name for frame in reported if frame.problem] == ["view_4"]
     assert len(list(maps.folder.iterdir())) == 10
     assert not maps.finished("view_4")
@@ -73,8 +73,8 @@ def test_a_stopped_sequence_goes_on_where_it_was(sequence, matcher, tmp_path):
         if frame.index == 3:
             stop.set()
 
-    tally = match_video(opened(sequence), matcher, frames=maps, stop=stop, report=stop_after_four)
-    assert tally.matched == 4
+    stats = match_video(opened(sequence), matcher, frames=maps, stop=stop, report=stop_after_four)
+    assert stats.matched == 4
     before = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
     matcher.count = 0
     assert match_video(opened(sequence), matcher, frames=maps, resume=True).matched == 11
@@ -120,14 +120,14 @@ def test_a_live_frame_is_matched_at_once_and_its_source_closed(sequence, matcher
         finally:
             closed.append(True)
 
-    match = type(matcher).__call__
+    match = type(matcher).match
 
-    def slowly(self, left, right=None):
+    def slowly(self, pair):
         time.sleep(0.02)
         seen.append(asked[-1])
-        return match(self, left, right)
+        return match(self, pair)
 
-    monkeypatch.setattr(type(matcher), "__call__", slowly)
+    monkeypatch.setattr(type(matcher), "match", slowly)
     stream, stop = Stream(camera(), None, live=True), threading.Event()
 
     def stop_after_six(frame):
@@ -140,7 +140,7 @@ def test_a_live_frame_is_matched_at_once_and_its_source_closed(sequence, matcher
 
 
 def test_no_picture_is_made_if_none_is_written(sequence, matcher, tmp_path, monkeypatch):
-    monkeypatch.setattr("mobilestereonet.streams.video.SteadyRange", None)
+    monkeypatch.setattr("mobilestereonet.streams.video.SmoothedRange", None)
     maps = MapFiles(tmp_path / "maps")
     assert match_video(opened(sequence), matcher, frames=maps).matched == 11
 
@@ -169,8 +169,8 @@ def test_the_video_shows_the_frames_in_steady_colours(sequence, matcher, tmp_pat
     assert cv2.imwrite(str(sequence / "left" / "view_92.png"), np.zeros((50, 99, 3), np.uint8))
     assert cv2.imwrite(str(sequence / "right" / "view_92.png"), np.ones((50, 99, 3), np.uint8))
     video = tmp_path / "colours.mp4"
-    tally = match_video(opened(sequence), matcher, video=video, beside=True)
-    assert (tally.matched, tally.broken) == (9, 1)
+    stats = match_video(opened(sequence), matcher, video=video, beside=True)
+    assert (stats.matched, stats.broken) == (9, 1)
     moments = list(VideoFile(video))
     # The fourth of the ten that are left has another size; its place in time stays empty.
     expected = [0, 0.1, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]

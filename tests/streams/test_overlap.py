@@ -5,15 +5,15 @@ import time
 
 import pytest
 
-from mobilestereonet.streams.overlap import ahead, newest
+from mobilestereonet.streams.overlap import latest_only, prefetch
 
 
-def test_ahead_keeps_the_order_and_the_number():
-    assert list(ahead(range(100), 3)) == list(range(100))
-    assert list(ahead([])) == []
+def test_prefetch_keeps_the_order_and_the_number():
+    assert list(prefetch(range(100), 3)) == list(range(100))
+    assert list(prefetch([])) == []
 
 
-def test_ahead_makes_the_next_items_while_the_caller_works():
+def test_prefetch_makes_the_next_items_while_the_caller_works():
     made, third = [], threading.Event()
 
     def items():
@@ -23,7 +23,7 @@ def test_ahead_makes_the_next_items_while_the_caller_works():
                 third.set()
             yield item
 
-    stream = ahead(items(), 2)
+    stream = prefetch(items(), 2)
     assert next(stream) == 0
     assert third.wait(5), "nothing was made while the caller held the first item"
     time.sleep(0.05)
@@ -31,18 +31,18 @@ def test_ahead_makes_the_next_items_while_the_caller_works():
     stream.close()
 
 
-def test_ahead_hands_errors_over_in_their_place():
+def test_prefetch_hands_errors_over_in_their_place():
     def items():
         yield 1
         raise OSError("disk full")
 
-    stream = ahead(items())
+    stream = prefetch(items())
     assert next(stream) == 1
     with pytest.raises(OSError, match="disk full"):
         next(stream)
 
 
-def test_ahead_ends_its_source_when_it_is_closed():
+def test_prefetch_ends_its_source_when_it_is_closed():
     ended = threading.Event()
 
     def items():
@@ -52,13 +52,13 @@ def test_ahead_ends_its_source_when_it_is_closed():
         finally:
             ended.set()
 
-    stream = ahead(items())
+    stream = prefetch(items())
     next(stream)
     stream.close()
     assert ended.is_set()
 
 
-def test_newest_passes_over_what_came_meanwhile_and_gives_the_last_one():
+def test_latest_only_passes_over_what_came_meanwhile_and_gives_the_last_one():
     proceed = threading.Event()
 
     def items():
@@ -66,14 +66,14 @@ def test_newest_passes_over_what_came_meanwhile_and_gives_the_last_one():
         proceed.wait(5)
         yield from range(1, 50)
 
-    stream = newest(items())
+    stream = latest_only(items())
     assert next(stream) == 0
     proceed.set()
     time.sleep(0.2)
     assert list(stream) == [49]
 
 
-def test_newest_hands_errors_over_and_ends_its_source():
+def test_latest_only_hands_errors_over_and_ends_its_source():
     ended = threading.Event()
 
     def broken():
@@ -89,8 +89,8 @@ def test_newest_hands_errors_over_and_ends_its_source():
             ended.set()
 
     with pytest.raises(OSError, match="unplugged"):
-        list(newest(broken()))
-    stream = newest(endless())
+        list(latest_only(broken()))
+    stream = latest_only(endless())
     next(stream)
     stream.close()
     assert ended.is_set()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams.pairs import Pair, find_pairs, read_pairs
+from mobilestereonet.streams.pairs import PairFiles, find_pairs, read_pairs
 
 
 def touch(path):
@@ -42,7 +42,7 @@ def test_a_folder_is_no_pattern_even_if_it_looks_like_one(tmp_path):
         touch(tmp_path / "[run1]" / "right" / f"{index}.png")
     left, right = tmp_path / "[run1]" / "left [a]", tmp_path / "[run1]" / "right"
     for first, second in ((left, right), (right, left)):
-        expected = [Pair(n, first / f"{n}.png", second / f"{n}.png") for n in ("1", "2")]
+        expected = [PairFiles(n, first / f"{n}.png", second / f"{n}.png") for n in ("1", "2")]
         assert find_pairs(first, second) == expected
         assert find_pairs(first / "[12].png", second / "[12].png") == expected
     with pytest.raises(FileNotFoundError, match="absent: no such file, folder or pattern"):
@@ -104,7 +104,7 @@ def test_what_cannot_be_read_is_told_not_raised(sequence):
     frames = list(read_pairs(find_pairs(sequence / "left", sequence / "right"), fps=4))
     assert [frame.index for frame in frames] == list(range(11))
     assert [frame.seconds for frame in frames[:3]] == [0, 0.25, 0.5]
-    assert [frame.views is None for frame in frames] == [False, True, True] + 8 * [False]
+    assert [frame.pair is None for frame in frames] == [False, True, True] + 8 * [False]
     assert "view_1.png: not an image" in frames[1].problem
     assert "160x48" in frames[2].problem
-    assert frames[0].views[0].shape == (3, 48, 160)
+    assert frames[0].pair.left.shape == (3, 48, 160)

@@ -41,7 +41,9 @@ def test_video_of_a_sequence_with_depth(msnet, sequence):
     (sequence / "left" / "view_5.png").write_bytes(b"")
     code, out, err = msnet("video", *views, "--frames", maps, *calibration)
     assert code == 0
-    assert re.fullmatch(rf"{maps}: 10 frames, \d+\.\d\d per second\n1 broken .* skipped\n", out)
+    assert re.fullmatch(
+        rf"{maps}: 10 frames, \d+\.\d\d per second, sgbm on sgbm int16\n1 broken .* skipped\n", out
+    )
     assert re.fullmatch(r"msnet: frame view_5 skipped: .*view_5.png: not an image.*\n", err)
     depth = cv2.imread(str(maps / "view_0_depth.png"), -1)
     assert np.median(centre(depth)) == pytest.approx(2000, rel=0.02)
@@ -52,11 +54,11 @@ def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypa
     # A real signal may end the process that runs the tests: the event is set as Ctrl-C sets it.
     calls, match, pressed = [], StereoSGBM.__call__, threading.Event()
 
-    def counted(self, left, right):
+    def counted(self, left, right, confidence=False):
         calls.append(1)
         if len(calls) == 3:
             pressed.set()
-        return match(self, left, right)
+        return match(self, left, right, confidence)
 
     monkeypatch.setattr(StereoSGBM, "__call__", counted)
     monkeypatch.setattr(video, "Event", lambda: pressed)
@@ -78,13 +80,16 @@ def test_batch_skips_what_exists_and_counts_what_failed(msnet, sequence):
     command = "batch", sequence / "left", sequence / "right", "-o", sequence / "maps"
     (sequence / "left" / "view_5.png").write_bytes(b"")
     code, out, err = msnet(*command)
-    assert (code, out) == (1, f"{sequence / 'maps'}: 10 pairs matched, 0 kept, 1 failed\n")
+    assert (code, out) == (
+        1,
+        f"{sequence / 'maps'}: 10 pairs matched, 0 kept, 1 failed (sgbm on sgbm int16)\n",
+    )
     assert re.fullmatch(r"msnet: view_5 skipped: .*view_5.png: not an image.*\n", err)
     cv2.imwrite(str(sequence / "left" / "view_5.png"), make_pair(15, 5)[0][..., ::-1])
     before = tree(sequence)
     code, out, err = msnet(*command, "--skip-existing")
     assert (code, err) == (0, "")
-    assert out == f"{sequence / 'maps'}: 1 pairs matched, 10 kept, 0 failed\n"
+    assert out == f"{sequence / 'maps'}: 1 pairs matched, 10 kept, 0 failed (sgbm on sgbm int16)\n"
     new = sequence / "maps" / "view_5_disparity.png"
     assert {**before, new: new.read_bytes()} == tree(sequence)
     assert np.median(centre(cv2.imread(str(new), -1) / 256)) == pytest.approx(15, abs=0.1)

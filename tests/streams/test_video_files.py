@@ -66,7 +66,7 @@ def test_damaged_frames_are_told_in_their_place(tmp_path, packets, share):
     damage(path, packets, share)
     frames = list(open_stream(str(path)).frames)
     assert [frame.index for frame in frames] == list(range(12))
-    broken = [frame.index for frame in frames if frame.views is None]
+    broken = [frame.index for frame in frames if frame.pair is None]
     assert broken == packets
     assert all("damaged" in frames[index].problem for index in broken)
 
@@ -76,8 +76,8 @@ def test_two_files_stay_in_step_over_a_damaged_frame(tmp_path):
     first, second = write(tmp_path / "l.mp4", left), write(tmp_path / "r.mp4", right)
     damage(second, [3])
     frames = list(open_videos([first, second]).frames)
-    assert [frame.index for frame in frames if frame.views is None] == [3]
-    last = frames[7].views[1].permute(1, 2, 0).numpy() * 255
+    assert [frame.index for frame in frames if frame.pair is None] == [3]
+    last = frames[7].pair.right.permute(1, 2, 0).numpy() * 255
     errors = [np.abs(last - picture).mean() for picture in right]
     assert int(np.argmin(errors)) == 7
 

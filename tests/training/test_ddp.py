@@ -11,6 +11,8 @@ import torch
 
 from short_run import save_teacher
 
+pytestmark = pytest.mark.slow
+
 # The command itself, with batch norms in eval mode, since those of a CPU are not synchronised.
 SCRIPT = """
 import sys

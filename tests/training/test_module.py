@@ -193,7 +193,7 @@ def test_values_of_the_config_and_one_set_of_weights():
     pairs = zip(module.net.parameters(), fresh.net.parameters(), strict=True)
     assert any(not after.equal(before) for after, before in pairs)
     with pytest.raises(IndexError):
-        _ = module.accelerated
+        module.accelerated  # noqa: B018
 
 
 def test_data_without_ground_truth():

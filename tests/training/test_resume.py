@@ -9,11 +9,14 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from safetensors.torch import load_file
 
 from mobilestereonet.data import write_pfm, write_png
 from short_run import save_teacher
+
+pytestmark = pytest.mark.slow
 
 STEPS = 14
 VALUES = {

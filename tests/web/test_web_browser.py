@@ -29,6 +29,8 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 if CHROMIUM is None and not REQUIRED:
     pytest.skip("Chromium is not installed", allow_module_level=True)
 
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
 PATIENCE = 180_000
 """Milliseconds that the slowest step may take on a busy machine."""
 
@@ -50,9 +52,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(folder):
-    matcher = StereoMatcher.from_pretrained(
-        runtime="torch", precision="fp32", threads=1, confidence=True
-    )
+    matcher = StereoMatcher.from_pretrained(threads=1, confidence=True)
     return matcher(folder / "left.png", folder / "right.png")
 
 
@@ -179,7 +179,7 @@ def test_from_the_upload_to_the_download(visit, folder, expected, tmp_path):
     choose_pair(page, folder)
     fill_in(page, CALIBRATION)
     match(page)
-    assert "msnet2d on torch (fp32), 296 x 200 px" in page.locator("#facts").inner_text()
+    assert "msnet3d on torch fp32, 296x200" in page.locator("#facts").inner_text()
 
     # The pictures under the slider: the left view, and the disparity that `predict` gives.
     shown = page.locator("#disparity img")

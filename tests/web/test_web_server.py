@@ -16,34 +16,36 @@ import torch
 
 from extras import need_extra
 from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
-from mobilestereonet.web.uploads import Limits
+from mobilestereonet.web.uploads import UploadLimits
 
 gr = need_extra("gradio")
 
-from mobilestereonet.web.page import Handlers, Offer, build_page  # noqa: E402
+from mobilestereonet.web.page import Handlers, PageConfig, build_page  # noqa: E402
 from mobilestereonet.web.server import running  # noqa: E402
 
 PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
 VISITOR = SimpleNamespace(session_hash="someone")
 
 
-def make_matcher(model, runtime):
-    if runtime == "missing":
+def make_matcher(model, engine):
+    if engine == "missing":
         raise InputError("missing is not installed: <b>install it</b>")
     torch.manual_seed(0)
     return StereoMatcher(create_model(model, max_disparity=32), confidence=True)
 
 
 @pytest.fixture(scope="module")
-def offer():
+def config():
     views = torch.rand(2, 3, 32, 48, generator=torch.Generator().manual_seed(0))
     example = StereoSample(*views, calibration=Calibration(50, 0.2, 1), name="Noise")
-    return Offer(["msnet2d"], ["torch", "missing"], make_matcher, [example], Limits(megabytes=1))
+    return PageConfig(
+        ["msnet2d"], ["torch", "missing"], make_matcher, [example], UploadLimits(megabytes=1)
+    )
 
 
 @pytest.fixture(scope="module")
-def address(offer):
-    with running(offer) as address:
+def address(config):
+    with running(config) as address:
         yield address.rstrip("/")
 
 
@@ -165,11 +167,11 @@ def test_an_upload_event_takes_no_other_path(address, path, words):
     assert message["output"]["error"] == words  # None: gradio's own refusal, not told
 
 
-def test_the_folder_goes_with_the_server(offer, monkeypatch, tmp_path):
+def test_the_folder_goes_with_the_server(config, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setenv("GRADIO_TEMP_DIR", "before")
-    with running(offer) as address:
+    with running(config) as address:
         assert upload(address.rstrip("/"), PICTURE)[0] == 200
         assert files_below(tmp_path)
         assert all(folder.stat().st_mode & 0o077 == 0 for folder in tmp_path.glob("msnet-web-*"))
@@ -177,7 +179,7 @@ def test_the_folder_goes_with_the_server(offer, monkeypatch, tmp_path):
     assert os.environ["GRADIO_TEMP_DIR"] == "before"
 
 
-def test_a_match_that_still_writes_at_the_end_leaves_nothing(offer, monkeypatch, tmp_path):
+def test_a_match_that_still_writes_at_the_end_leaves_nothing(config, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     writing, written = Event(), Event()
@@ -196,7 +198,7 @@ def test_a_match_that_still_writes_at_the_end_leaves_nothing(offer, monkeypatch,
             written.set()
 
     monkeypatch.setattr("mobilestereonet.web.page.answer", slow)
-    with running(offer) as address:
+    with running(config) as address:
         join(address.rstrip("/"), "click", ["msnet2d", "torch", 0, 0, 0, 0, 0.5])
         assert writing.wait(20)
     assert written.wait(20)
@@ -210,8 +212,8 @@ def test_a_click_and_an_example_share_one_queue(act):
 
 
 @pytest.fixture
-def act(offer, tmp_path):
-    return Handlers(offer, tmp_path)
+def act(config, tmp_path):
+    return Handlers(config, tmp_path)
 
 
 def put(folder, content, name="picture.png"):
@@ -227,21 +229,21 @@ def match(act, runtime="torch", focal=50.0, baseline=0.2):
 
 def test_handlers_from_the_upload_to_the_cloud(act, tmp_path):
     for side in ("left", "right"):
-        path = act.taking(side)(put(tmp_path, PICTURE), VISITOR)
+        path = act.upload_handler(side)(put(tmp_path, PICTURE), VISITOR)
         assert Path(path).read_bytes() == PICTURE.tobytes()
     facts, pictures, readings, *_ = match(act)
-    assert "48 x 32 px" in facts
+    assert "msnet2d on torch fp32, 48x32" in facts
     assert all(Path(path).is_file() for path in pictures)
     assert readings["depth"] == pytest.approx(10)
     assert Path(act.cloud(VISITOR)).suffix == ".glb"
-    act.dropping("right")(VISITOR)
+    act.clear_handler("right")(VISITOR)
     with pytest.raises(gr.Error, match="there is no right picture"):
         match(act)
     act.leave(VISITOR)
     assert files_below(act.sessions.root) == []
 
 
-def test_an_example_fills_everything_in(act, offer):
+def test_an_example_fills_everything_in(act, config):
     left, right, *numbers = act.take_example(SimpleNamespace(index=0), VISITOR)
     assert Path(left).is_file()
     assert Path(right).is_file()
@@ -254,13 +256,13 @@ def test_an_example_fills_everything_in(act, offer):
 )
 def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
     with pytest.raises(gr.Error, match="the upload is not there"):
-        act.taking("left")(payload, VISITOR)
+        act.upload_handler("left")(payload, VISITOR)
     assert files_below(tmp_path) == []
 
 
 def test_errors_are_one_line_on_the_page(act, tmp_path):
     with pytest.raises(gr.Error, match="no PNG, JPEG"):
-        act.taking("left")(put(tmp_path, b"text"), VISITOR)
+        act.upload_handler("left")(put(tmp_path, b"text"), VISITOR)
     with pytest.raises(gr.Error, match="there is no left picture"):
         match(act)
     act.take_example(SimpleNamespace(index=0), VISITOR)

@@ -16,7 +16,7 @@ from mobilestereonet.data.files import decode_image, read_pfm
 from mobilestereonet.inference import load_pair
 from mobilestereonet.web.answer import CLOUD, Geometry, answer
 from mobilestereonet.web.sessions import Sessions
-from mobilestereonet.web.uploads import Limits, admit
+from mobilestereonet.web.uploads import UploadLimits, admit
 
 LEFT, RIGHT = np.random.default_rng(0).integers(0, 256, (2, 40, 64, 3), dtype=np.uint8)
 
@@ -57,7 +57,7 @@ def session(root, sessions, upload):
     """A session with a pair."""
     session = sessions["someone"]
     for side, view in (("left", LEFT), ("right", RIGHT)):
-        admit(upload(view), root, session, side, Limits())
+        admit(upload(view), root, session, side, UploadLimits())
     return session
 
 
@@ -79,17 +79,17 @@ def png_header(width, height):
 
 def test_an_upload_is_copied_into_the_session_under_our_name(root, sessions, upload):
     path = upload(LEFT, name="My holiday \u2603.jpeg")  # a PNG, whatever it is called
-    kept = admit(path, root, sessions["a"], "left", Limits())
+    kept = admit(path, root, sessions["a"], "left", UploadLimits())
     assert kept.name == "left.png"
     assert kept.is_relative_to(sessions["a"].folder)
     np.testing.assert_array_equal(decode_image(kept), LEFT)
-    again = admit(upload(RIGHT), root, sessions["a"], "left", Limits())
+    again = admit(upload(RIGHT), root, sessions["a"], "left", UploadLimits())
     assert files_below(root / "sessions") == [again]
 
 
 def test_two_visitors_with_the_same_picture(root, sessions, upload):
     path = upload(LEFT)  # one path: gradio names it by its content
-    kept = [admit(path, root, sessions[name], "left", Limits()) for name in "ab"]
+    kept = [admit(path, root, sessions[name], "left", UploadLimits()) for name in "ab"]
     sessions.close("a")
     assert files_below(root / "sessions") == kept[1:]
 
@@ -111,7 +111,7 @@ def test_two_visitors_with_the_same_picture(root, sessions, upload):
 def test_a_bad_upload_is_deleted(root, sessions, upload, content, words):
     path = upload(content)
     with pytest.raises(InputError, match=f"left picture: .*{words}") as error:
-        admit(path, root, sessions["a"], "left", Limits(megabytes=1))
+        admit(path, root, sessions["a"], "left", UploadLimits(megabytes=1))
     assert str(root) not in str(error.value)
     assert files_below(root) == []
 
@@ -120,14 +120,18 @@ def test_the_size_is_told_without_decoding(root, sessions, upload, monkeypatch):
     monkeypatch.setattr("PIL.ImageFile.ImageFile.load", lambda *_: pytest.fail("decoded"))
     with pytest.raises(InputError, match="megapixels"):
         admit(
-            upload(png_header(9000, 9000)), root, sessions["a"], "left", Limits(pixels=80_000_000)
+            upload(png_header(9000, 9000)),
+            root,
+            sessions["a"],
+            "left",
+            UploadLimits(pixels=80_000_000),
         )
 
 
 def test_only_uploads_are_taken(root, sessions, upload, tmp_path):
     secret = tmp_path / "secret.png"
     secret.write_bytes(cv2.imencode(".png", LEFT)[1].tobytes())
-    theirs = admit(upload(LEFT), root, sessions["other"], "left", Limits())
+    theirs = admit(upload(LEFT), root, sessions["other"], "left", UploadLimits())
     link = root / "c3d4" / "link.png"
     link.parent.mkdir()
     link.symlink_to(secret)
@@ -141,7 +145,7 @@ def test_only_uploads_are_taken(root, sessions, upload, tmp_path):
         theirs,
     ):
         with pytest.raises(InputError, match="the upload is not there"):
-            admit(path, root, sessions["a"], "left", Limits())
+            admit(path, root, sessions["a"], "left", UploadLimits())
     assert secret.exists()
     assert theirs.exists()
     assert sessions["a"].file("left") is None
@@ -160,7 +164,7 @@ def test_what_is_shown_and_written(session, matcher):
     assert decode_image(found.disparity).shape == LEFT.shape
     assert files["stereo_points.ply"].read_bytes().startswith(b"ply")
     assert session.file("answer", CLOUD).read_bytes().startswith(b"glTF")
-    assert found.facts.startswith("msnet2d on torch (fp32), 64 x 40 px: matched in ")
+    assert found.summary.startswith("msnet2d on torch fp32, 64x40: matched in ")
     assert set(files_below(session.folder)) >= set(found.files)
 
 
@@ -221,7 +225,7 @@ def test_bad_pairs(root, session, upload, matcher):
         (RIGHT[:-8], "left picture has 64x40, right picture has 64x32"),
         (whole[:200], "right picture: not an image"),
     ):
-        admit(upload(content), root, session, "right", Limits())
+        admit(upload(content), root, session, "right", UploadLimits())
         before = files_below(session.folder)
         with pytest.raises(InputError, match=words) as error:
             answer(session, matcher, Geometry())
@@ -310,7 +314,7 @@ def test_folders_are_the_servers_own(root, session):
 
 
 def test_idle_sessions_are_closed(root):
-    sessions = Sessions(root, oldest=0)
+    sessions = Sessions(root, max_idle=0)
     first = sessions["a"]
     assert sessions["a"] is first  # who asks for it is not idle
     second = sessions["b"]
@@ -318,7 +322,7 @@ def test_idle_sessions_are_closed(root):
 
 
 def test_the_one_idle_longest_makes_room(root):
-    sessions = Sessions(root, most=2)
+    sessions = Sessions(root, max_sessions=2)
     a, b = sessions["a"], sessions["b"]
     assert sessions["a"] is a
     c = sessions["c"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import Any, cast
@@ -106,20 +107,41 @@ class FusedConv(nn.Module):
         padding = list(cast(tuple[int, ...], conv.padding))
         if not pad_first:
             padding[0] = 0
-        if not _runs_onednn(x):
-            convolve = F.conv2d if x.ndim == 4 else F.conv3d
-            options = (conv.stride, padding, conv.dilation, conv.groups)
-            y = convolve(x, conv.weight, conv.bias, *options)
-            return _activate(y if other is None else y + other, self.activation)
-        call = torch.ops.mkldnn._convolution_pointwise
         size = (padding, conv.stride, conv.dilation, conv.groups)
-        name, limits = _ONEDNN[self.activation]
+        if not _runs_onednn(x):
+            y = _convolve(x, conv.weight, conv.bias, *size)
+            return _activate(y if other is None else y + other, self.activation)
         if other is None:
-            return cast(Tensor, call(x, conv.weight, conv.bias, *size, name, limits, ""))
-        # oneDNN can follow a sum by a ReLU, but not by a ReLU6.
-        unary = "relu" if name == "relu" else None
-        y = call.binary(x, other, conv.weight, conv.bias, *size, "add", 1.0, unary, [], None)
-        return cast(Tensor, y) if unary else _activate(y, self.activation)
+            return _onednn(x, conv.weight, conv.bias, *size, activation=self.activation)
+        if other.shape[2:].numel() == 1:  # PyTorch 2.11 has no sum of single pixels
+            return _activate(_onednn(x, conv.weight, conv.bias, *size) + other, self.activation)
+        if self.activation == "relu6":  # oneDNN can follow a sum by a ReLU alone
+            return _activate(_onednn_sum(x, other, conv.weight, conv.bias, *size), "relu6")
+        relu = self.activation == "relu"
+        return _onednn_sum(x, other, conv.weight, conv.bias, *size, relu=relu)
+
+
+def _convolve(x: Tensor, weight: Tensor, bias: Tensor | None, padding: Any, *size: Any) -> Tensor:
+    convolve = F.conv2d if x.ndim == 4 else F.conv3d
+    stride, dilation, groups = size
+    return convolve(x, weight, bias, stride, padding, dilation, groups)
+
+
+def _onednn(
+    x: Tensor, weight: Tensor, bias: Tensor | None, *size: Any, activation: str = "none"
+) -> Tensor:
+    """``activation(conv(x))`` by a private operator of PyTorch, which torch.compile uses."""
+    call = torch.ops.mkldnn._convolution_pointwise
+    return cast(Tensor, call(x, weight, bias, *size, *_ONEDNN[activation], ""))
+
+
+def _onednn_sum(
+    x: Tensor, other: Tensor, weight: Tensor, bias: Tensor | None, *size: Any, relu: bool = False
+) -> Tensor:
+    """``conv(x) + other`` likewise, and a ReLU of that."""
+    call = torch.ops.mkldnn._convolution_pointwise.binary
+    unary = "relu" if relu else None
+    return cast(Tensor, call(x, other, weight, bias, *size, "add", 1.0, unary, [], None))
 
 
 def _activate(x: Tensor, activation: str) -> Tensor:
@@ -129,10 +151,26 @@ def _activate(x: Tensor, activation: str) -> Tensor:
 
 
 def _runs_onednn(x: Tensor) -> bool:
-    if x.device.type != "cpu" or not torch.backends.mkldnn.is_available():
+    if x.device.type != "cpu" or x.dtype not in (torch.float32, torch.bfloat16):
         return False
-    bfloat16 = x.dtype == torch.bfloat16 and torch.ops.mkldnn._is_mkldnn_bf16_supported()
-    return x.dtype == torch.float32 or bool(bfloat16)
+    return has_onednn_operators(x.dtype)
+
+
+@functools.cache
+def has_onednn_operators(dtype: torch.dtype) -> bool:
+    """Whether this PyTorch has the private operators, and they do what they did in PyTorch 2.13."""
+    x = torch.linspace(-2, 2, 64).view(1, 4, 4, 4)
+    weight = torch.linspace(-8, 8, 144).view(4, 4, 3, 3)
+    x, weight = (t.to(dtype, memory_format=torch.channels_last) for t in (x, weight))
+    size = ([1, 1], [1, 1], [1, 1], 1)
+    expected = _convolve(x, weight, None, *size).float()
+    try:
+        clipped = _onednn(x, weight, None, *size, activation="relu6").float()
+        total = _onednn_sum(x, x, weight, None, *size).float()
+    except (AttributeError, NotImplementedError, RuntimeError, TypeError):
+        return False
+    pairs = ((clipped, expected.clamp(0, 6)), (total, expected + x.float()))
+    return all(torch.allclose(found, right, rtol=0.02, atol=1) for found, right in pairs)
 
 
 class FusedResidualBlock(nn.Module):

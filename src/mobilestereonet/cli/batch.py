@@ -66,10 +66,9 @@ def batch(
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.cli.progress import progress_bar, tell_skipped
+    from mobilestereonet.cli.engine import open_matcher
+    from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.errors import InputError
-    from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 
     # A cluster's processes have working folders of their own.
@@ -83,16 +82,19 @@ def batch(
     cpus = threads or 1
     if ray is not None and model != "sgbm":
         threads = cpus  # a worker shares its machine
-    engine = engine_options(model, runtime, precision, threads, device, refine)
+    weights = weights and weights.absolute()
     make_matcher = partial(
-        StereoMatcher.from_pretrained, model, weights=weights and weights.absolute(), **engine
+        open_matcher, model, weights, runtime, precision, threads, device, refine
     )
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     make_folder(output)
+    summary = ""
     if ray is None:
-        outcomes = match_pairs(todo, make_matcher(), files)
+        matcher = make_matcher()
+        summary = f" ({matcher.summary})"
+        statuses = match_pairs(todo, matcher, files)
     else:
-        outcomes = match_on_ray(
+        statuses = match_on_ray(
             todo,
             files,
             make_matcher,
@@ -103,11 +105,11 @@ def batch(
         )
     failed = 0
     with progress_bar("pairs") as progress:
-        for outcome in progress.track(outcomes, total=len(todo), description="matching"):
-            if outcome.problem:
+        for status in progress.track(statuses, total=len(todo), description="matching"):
+            if status.problem:
                 failed += 1
-                tell_skipped(progress, outcome.name, outcome.problem)
+                report_skipped(progress, status.name, status.problem)
     matched, kept = len(todo) - failed, len(pairs) - len(todo)
-    print(f"{output}: {matched} pairs matched, {kept} kept, {failed} failed")
+    print(f"{output}: {matched} pairs matched, {kept} kept, {failed} failed{summary}")
     if failed:
         sys.exit(1)

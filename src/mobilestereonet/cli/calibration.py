@@ -43,7 +43,7 @@ def calibration_from(
     baseline: float | None,
     doffs: float,
 ) -> Calibration | None:
-    """The calibration that the options give; None if they give none.
+    """Read the calibration that the options give; None if they give none.
 
     Raises:
         FileNotFoundError: If a file does not exist.

@@ -19,13 +19,16 @@ _SIZE = (256, 512)
 
 def cost(
     model: Annotated[
-        str | None, typer.Argument(help="Network to count; msnet2d if none is given.")
+        str | None,
+        typer.Option(help="Network: a name, or a class of your own, my_net.py:MyNet. [msnet2d]"),
     ] = None,
-    height: Annotated[int, typer.Option(help="Height of a view, a multiple of 16.")] = _SIZE[0],
-    width: Annotated[int, typer.Option(help="Width of a view, a multiple of 16.")] = _SIZE[1],
+    height: Annotated[int, typer.Option(help="Height of a view, in pixels.")] = _SIZE[0],
+    width: Annotated[int, typer.Option(help="Width of a view, in pixels.")] = _SIZE[1],
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUE", help="Change a field of the network."),
+        typer.Option(
+            "--set", help="Change a value of the network, such as net.max_disparity=96. Repeatable."
+        ),
     ] = None,
     paper: Annotated[
         bool, typer.Option("--paper", help="Print the paper's cost figures beside ours.")
@@ -40,7 +43,7 @@ def cost(
     if paper:
         if model or settings or (height, width) != _SIZE:
             raise InputError(
-                "--paper counts the paper's models at 256 x 512: no MODEL, --set or size"
+                "--paper counts the paper's models at 256 x 512: no --model, --set or size"
             )
         _print_paper(plot, as_json)
     elif plot:
@@ -50,21 +53,28 @@ def cost(
 
 
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
-    from mobilestereonet.costs.count import count_costs
+    from mobilestereonet.costs import count_costs
     from mobilestereonet.nets import model_config
     from mobilestereonet.settings import override, parse_assignments
 
-    config = override(model_config(model), parse_assignments(settings), f"model {model}")
-    modules = count_costs(config, height, width)
+    values = {}
+    for key, value in parse_assignments(settings).items():
+        prefix, _, field = key.partition(".")
+        if prefix != "net" or not field:
+            raise InputError(f"--set {key}={value}: write it as net.{key}={value}")
+        values[field] = value
+    config = override(model_config(model), values, f"model {model}")
+    checked = {field: getattr(config, field) for field in values}
+    parts = count_costs(model, height, width, **checked)
     if as_json:
         facts = {"model": model, "config": asdict(config), "height": height, "width": width}
-        costs = {name: asdict(cost) for name, cost in modules.items()}
+        costs = {name: asdict(cost) for name, cost in parts.items()}
         total = costs.pop("total")
-        print(json.dumps({**facts, "modules": costs, "total": total}, indent=2))
+        print(json.dumps({**facts, "parts": costs, "total": total}, indent=2))
         return
     _print_table(
         f"{' '.join([model, *settings])}, two views of 3 x {height} x {width}",
-        ["module", "exact\nMACs G", "\nparams M", "paper's count\nMACs G", "\nparams M"],
+        ["part", "exact\nMACs G", "\nparams M", "paper's count\nMACs G", "\nparams M"],
         [
             [
                 name,
@@ -73,7 +83,7 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
                 f"{cost.paper_macs / 1e9:.3f}",
                 f"{cost.paper_params / 1e6:.4f}",
             ]
-            for name, cost in modules.items()
+            for name, cost in parts.items()
         ],
     )
 

@@ -22,13 +22,12 @@ def doctor(
 
     from rich.console import Console
 
-    from mobilestereonet.data.images import to_picture
     from mobilestereonet.inference import load_pair
     from mobilestereonet.inference.checks import check_pair
 
     colours = {"good": "green", "warning": "yellow", "problem": "red", "unknown": "yellow"}
-    views = [to_picture(view) for view in load_pair(left, right)]
-    findings = check_pair(views[0], views[1], max_disparity)
+    pair = load_pair(left, right)
+    findings = check_pair(pair.left_image, pair.right_image, max_disparity)
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:

@@ -16,7 +16,8 @@ def evaluate(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Network, or sgbm. Repeat for more. Default: msnet2d, or what the weights hold."
+            help="Model, as in predict. Repeat for more. Default: msnet3d, or what the weights "
+            "hold."
         ),
     ] = None,
     weights: Weights = None,
@@ -60,7 +61,7 @@ def evaluate(
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder, refuse_folder
-    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.data import open_data_set
     from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import (
@@ -69,7 +70,6 @@ def evaluate(
         save_evaluations,
     )
     from mobilestereonet.evaluation import evaluate as run
-    from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.settings import parse_assignments
 
     models: list[str | None] = [*model] if model else [None]
@@ -85,14 +85,10 @@ def evaluate(
     # The padding is one of normalised views, which sgbm does not take.
     protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
     engine = (runtime, precision, threads, device, refine)
+    # Beside networks sgbm takes no part in the choice of their engine.
+    opencv = ("torch", "fp32", None, "auto", None) if len(models) > 1 else engine
     matchers = [
-        StereoMatcher.from_pretrained(
-            name,
-            weights=weights,
-            padding=own.padding,
-            # Beside networks sgbm takes no part in the choice of their engine.
-            **({} if name == "sgbm" and len(models) > 1 else engine_options(name, *engine)),
-        )
+        open_matcher(name, weights, *(opencv if name == "sgbm" else engine), padding=own.padding)
         for name, own in zip(models, protocols, strict=True)
     ]
     for folder in (pictures, json and json.parent):

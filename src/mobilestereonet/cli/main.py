@@ -15,6 +15,7 @@ from mobilestereonet.cli.cost import cost
 from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
 from mobilestereonet.cli.doctor import doctor
+from mobilestereonet.cli.early import EarlyCheck
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.export import export
 from mobilestereonet.cli.models import models
@@ -54,15 +55,15 @@ for command in (
     bench,
     web,
 ):
-    app.command()(command)
+    app.command(cls=EarlyCheck)(command)
 app.add_typer(data)
 
 
 def main() -> None:
     """Run the command line; bad input ends with one line on stderr and exit code 2."""
-    # Users want the words, not the line of code that says them.
-    for developers_business in (DeprecationWarning, FutureWarning):
-        warnings.simplefilter("ignore", developers_business)
+    for of_libraries in (DeprecationWarning, FutureWarning):
+        warnings.simplefilter("ignore", of_libraries)
+    # The message alone, without the line of code that gave it.
     warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
     keep_freed_memory()
     try:

@@ -55,20 +55,27 @@ def predict(
         tuple[int, int] | None,
         typer.Option(help="Height and width of tiles. Default: 1088 1920, above Full HD."),
     ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A value of the network's config in place of the weights' own, such as "
+            "net.estimator=mean. Repeat for more.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the facts as JSON.")] = False,
 ) -> None:
     """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
     import json
     import sys
+    from dataclasses import asdict
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.engine import network_values, open_matcher
     from mobilestereonet.data.depth_files import check_depth_file, write_depth
-    from mobilestereonet.data.images import to_picture
     from mobilestereonet.errors import InputError
-    from mobilestereonet.inference import StereoMatcher, load_pair
-    from mobilestereonet.inference.checks import quick_checks
+    from mobilestereonet.inference import load_pair
     from mobilestereonet.inference.geometry import check_points_file
 
     depth_files = [check_depth_file(path) for path in depth or ()]
@@ -85,40 +92,45 @@ def predict(
         )
     pair = load_pair(left, right)
     if calibration is not None:
-        height, width = pair[0].shape[-2:]
-        calibration.require_size(width, height)
-    matcher = StereoMatcher.from_pretrained(
+        calibration.require_size(pair.width, pair.height)
+    matcher = open_matcher(
         model,
-        weights=weights,
+        weights,
+        runtime,
+        precision,
+        threads,
+        device,
+        refine,
         tile=tile or "auto",
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
-        **engine_options(model, runtime, precision, threads, device, refine),
+        **network_values(settings),
     )
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)
-    for finding in quick_checks(to_picture(pair[0]), to_picture(pair[1])):
+    result = matcher.match(pair)
+    for finding in result.findings:
         if finding.level != "good":
             print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
-    result = matcher(*pair)
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
-    if calibration is not None:
+    if calibration is not None and depth_files:
+        metres = result.depth(calibration)
         for file in depth_files:
-            write_depth(file, result.depth(calibration))
+            write_depth(file, metres)
             files[f"depth{file.suffix}"] = str(file)
+    if calibration is not None and point_files:
+        cloud = result.points(
+            calibration, max_depth=max_depth, min_confidence=min_confidence, edges=keep_edges
+        )
         for file in point_files:
-            result.points(
-                calibration,
-                max_depth=max_depth,
-                min_confidence=min_confidence,
-                edges=keep_edges,
-            ).save(file)
+            cloud.save(file)
             files[f"points{file.suffix}"] = str(file)
+    info = result.info
+    assert info is not None  # the matcher's results have one
     if as_json:
-        print(json.dumps({**result.facts, "files": files}, indent=2))
+        findings = [asdict(finding) for finding in result.findings]
+        print(json.dumps({**asdict(info), "findings": findings, "files": files}, indent=2))
         return
-    print(
-        "{model} on {runtime} {precision}, {width}x{height}: {seconds:.2f} s".format(**result.facts)
-    )
+    print(f"{info}: {info.seconds:.2f} s")
     for path in files.values():
         print(path)

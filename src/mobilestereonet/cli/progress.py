@@ -1,4 +1,4 @@
-"""A progress bar with the rate and the time left, and what is said above it."""
+"""Progress bars with the rate and the time left, and messages above them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def progress_bar(unit: str) -> Progress:
-    """A bar on stderr that tells how many, how fast and how long still.
+    """Make a progress bar on stderr: items done, rate, time left.
 
     Args:
         unit: What is counted, in the plural.
@@ -43,8 +43,8 @@ def progress_bar(unit: str) -> Progress:
     )
 
 
-def tell_skipped(progress: Progress, name: str, problem: str) -> None:
-    """Say above the bar what was skipped, and why."""
+def report_skipped(progress: Progress, name: str, problem: str) -> None:
+    """Print above the bar what was skipped, and why."""
     progress.console.print(
         f"msnet: {name} skipped: {problem}", markup=False, highlight=False, soft_wrap=True
     )

@@ -41,15 +41,10 @@ def submit(
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder, refuse_folder
-    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
-    from mobilestereonet.inference import StereoMatcher
 
-    matcher = StereoMatcher.from_pretrained(
-        model,
-        weights=weights,
-        **engine_options(model, runtime, precision, threads, device, refine),
-    )
+    matcher = open_matcher(model, weights, runtime, precision, threads, device, refine)
     refuse_folder(output, "ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)

@@ -63,11 +63,10 @@ def video(
     import time
 
     from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import engine_options
-    from mobilestereonet.cli.progress import progress_bar, tell_skipped
+    from mobilestereonet.cli.engine import open_matcher
+    from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.errors import InputError
-    from mobilestereonet.inference import StereoMatcher
-    from mobilestereonet.interruption import ctrl_c_sets
+    from mobilestereonet.interruption import sigint_sets_event
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
     from mobilestereonet.streams.video_files import check_video_file
 
@@ -87,20 +86,19 @@ def video(
                     f"{output}: the video would replace its source; choose another name"
                 )
     stream = open_stream(left, right, fps)
-    engine = engine_options(model, runtime, precision, threads, device, refine)
-    matcher = StereoMatcher.from_pretrained(model, weights=weights, **engine)
+    matcher = open_matcher(model, weights, runtime, precision, threads, device, refine)
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()
     stop = Event()
-    with progress_bar("frames") as progress, ctrl_c_sets(stop):
+    with progress_bar("frames") as progress, sigint_sets_event(stop):
         task = progress.add_task("matching", total=stream.total)
 
         def report(frame: StereoFrame) -> None:
             progress.advance(task)
             if frame.problem:
-                tell_skipped(progress, f"frame {frame.name}", frame.problem)
+                report_skipped(progress, f"frame {frame.name}", frame.problem)
 
-        tally = match_video(
+        stats = match_video(
             stream,
             matcher,
             video=output,
@@ -111,12 +109,12 @@ def video(
             stop=stop,
             report=report,
         )
-    rate = tally.matched / (time.perf_counter() - started)
+    rate = stats.matched / (time.perf_counter() - started)
     written = " and ".join(str(path) for path in (output, frames) if path is not None)
-    print(f"{written}: {tally.matched} frames, {rate:.2f} per second")
-    if tally.broken:
-        print(f"{tally.broken} broken frame{'s' * (tally.broken > 1)} skipped")
-    if tally.passed_over:
-        print(f"{tally.passed_over} frames of the camera passed over: it is faster than matching")
+    print(f"{written}: {stats.matched} frames, {rate:.2f} per second, {matcher.summary}")
+    if stats.broken:
+        print(f"{stats.broken} broken frame{'s' * (stats.broken > 1)} skipped")
+    if stats.dropped:
+        print(f"{stats.dropped} frames of the camera dropped: it is faster than matching")
     if stop.is_set():
         print("stopped" + ("" if stream.live or frames is None else "; --resume goes on from here"))

@@ -34,32 +34,32 @@ def web(
     if find_spec("gradio") is None:
         raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
 
-    from mobilestereonet.cli.engine import engine_options
+    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.engines.choose import ENGINES
     from mobilestereonet.engines.sgbm import StereoSGBM
     from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
     from mobilestereonet.web.examples import examples
-    from mobilestereonet.web.page import Offer
+    from mobilestereonet.web.page import PageConfig
     from mobilestereonet.web.server import running
-    from mobilestereonet.web.uploads import Limits
+    from mobilestereonet.web.uploads import UploadLimits
     from mobilestereonet.weights import embedded_models
 
-    def matcher(model: str, runtime: str) -> StereoMatcher:
-        classical = model == StereoSGBM.name
-        options = {} if classical else engine_options(model, runtime, precision, threads, device)
-        return StereoMatcher.from_pretrained(model, confidence=not classical, **options)
+    def matcher(model: str, engine: str) -> StereoMatcher:
+        if model == StereoSGBM.name:
+            return StereoMatcher.from_pretrained(model)
+        return open_matcher(model, None, engine, precision, threads, device, confidence=True)
 
     others = [name for name in embedded_models() if name != DEFAULT_MODEL]
-    offer = Offer(
+    config = PageConfig(
         models=[DEFAULT_MODEL, *others, StereoSGBM.name],
-        runtimes=[name for name in ENGINES if find_spec(name)],
+        engines=[name for name in ENGINES if find_spec(name)],
         matcher=matcher,
         examples=examples(),
-        limits=Limits(max_megabytes, round(max_megapixels * 1e6), queue),
+        limits=UploadLimits(max_megabytes, round(max_megapixels * 1e6), queue),
     )
     # So that files are deleted however the server is ended.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with running(offer, host=host, port=port) as address:
+    with running(config, host=host, port=port) as address:
         print(f"{address} (end with Ctrl-C)", flush=True)
         if host not in ("127.0.0.1", "localhost", "::1"):
             print("msnet: without a password, to all who reach this machine", file=sys.stderr)

@@ -1,42 +1,41 @@
-"""MACs and parameters of any network at any input size, exact and as the paper counts.
+"""MACs and parameters of any network at any input size: exact, and as ptflops counts.
 
 One MAC (multiply-accumulate) is one product of a weight and a value. Two columns:
 
-- **Exact**: convolutions and transposed convolutions alone, each product once; no bias, norm,
-  activation, correlation or upsampling. Products with a border's zeros count, as is usual.
-- **As the paper counts**, pinned down on its two final networks: also one for the bias of an
-  output element, two for each element of a batch norm and one for each element of a ReLU or ReLU6
-  module (the ReLU after an hourglass's two sums is none), and transposed convolutions per
-  *output* element, which is the square (2D) or cube (3D) of the stride too many.
+- **Exact**: convolutions, transposed convolutions and linear layers, each product once; no bias,
+  norm, activation, correlation or upsampling. Products with a border's zeros count, as is usual.
+- **As the paper counts**: what ptflops printed before its version 0.7.5, by which the authors
+  counted. It adds one for the bias of an output element, two for an element of a norm with weights
+  (one without), one for an element of an activation or of an average's or maximum's input, and
+  takes transposed convolutions at their *output*, which is the square (2D) or cube (3D) of the
+  stride too many. Only modules count: the ReLU after an hourglass's two sums is a function.
 
-Both columns count one forward pass in eval mode, so both views and the last head alone, and the
-learned cost volume layer by layer on the columns that have a partner, W/4 - i of plane i. At
-256 x 512 that is 29.798 G (exact) and 32.204 G (paper) for the 2D network, 64.673 G and 153.141 G
-for the 3D one. Computing every column of each plane in one batch would make 33.791 G of the
-29.798 G. `LearnedVolume` does that, but shares its first layer's products among the planes.
+Both columns count one forward pass in eval mode, so both views and the last head alone, and a
+learned cost volume on the columns that have a partner, W/4 - i of plane i. At 256 x 512 that is
+29.798 G (exact) and 32.204 G (paper) for the 2D network, 64.673 G and 153.141 G for the 3D one.
 
 The exact parameters are all of them; the paper's leave out the heads that only training calls.
 """
 
 from __future__ import annotations
 
+import copy
 import math
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, LearnedVolume
-from mobilestereonet.nets.msnet import StereoNet
-from mobilestereonet.nets.msnet_config import NetConfig
+from mobilestereonet.nets import StereoModel, build_model
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a module or a network.
+    """Cost of a part of a network, or of all of it.
 
     Attributes:
         macs: Multiply-accumulates, exact.
@@ -59,11 +58,18 @@ class Cost:
         )
 
 
-_KEEP_SHAPE = (nn.BatchNorm2d, nn.BatchNorm3d, nn.ReLU, nn.ReLU6)
-
-
-def _same(x: Tensor) -> Tensor:
-    return x
+_TRANSPOSED = (nn.ConvTranspose1d, nn.ConvTranspose2d, nn.ConvTranspose3d)
+_CONVOLUTIONS = (nn.Conv1d, nn.Conv2d, nn.Conv3d)
+_NORMS = (
+    *(nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d),
+    *(nn.InstanceNorm1d, nn.InstanceNorm2d, nn.InstanceNorm3d),
+    *(nn.GroupNorm, nn.LayerNorm),
+)
+_ACTIVATIONS = (nn.ReLU, nn.ReLU6, nn.PReLU, nn.LeakyReLU, nn.ELU, nn.GELU)
+_POOLS = (
+    *(nn.AvgPool2d, nn.AvgPool3d, nn.MaxPool2d, nn.MaxPool3d),
+    *(nn.AdaptiveAvgPool2d, nn.AdaptiveAvgPool3d, nn.AdaptiveMaxPool2d, nn.AdaptiveMaxPool3d),
+)
 
 
 def layer_macs(layer: nn.Module, x: Tensor, y: Tensor) -> tuple[int, int]:
@@ -74,102 +80,95 @@ def layer_macs(layer: nn.Module, x: Tensor, y: Tensor) -> tuple[int, int]:
         x: Its input. Only shapes are looked at, so both may be meta tensors.
         y: Its output.
     """
-    if isinstance(layer, nn.ConvTranspose2d | nn.ConvTranspose3d):
+    if isinstance(layer, _TRANSPOSED):
         kernel = math.prod(layer.kernel_size)
         exact = x.numel() * kernel * layer.out_channels // layer.groups
         paper = y.numel() * kernel * layer.in_channels // layer.groups
-    elif isinstance(layer, nn.Conv2d | nn.Conv3d):
-        kernel = math.prod(layer.kernel_size)
-        exact = paper = y.numel() * kernel * layer.in_channels // layer.groups
-    elif isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d):
-        return 0, 2 * y.numel()
-    elif isinstance(layer, nn.ReLU | nn.ReLU6):
+    elif isinstance(layer, _CONVOLUTIONS):
+        exact = paper = y.numel() * math.prod(layer.kernel_size) * layer.in_channels // layer.groups
+    elif isinstance(layer, nn.Linear):
+        exact = paper = y.numel() * layer.in_features
+    elif isinstance(layer, _NORMS):
+        return 0, (2 if getattr(layer, "affine", False) else 1) * y.numel()
+    elif isinstance(layer, _ACTIVATIONS):
+        return 0, y.numel()
+    elif isinstance(layer, _POOLS):
+        return 0, x.numel()
+    elif isinstance(layer, nn.Upsample):
         return 0, y.numel()
     else:
         return 0, 0
     return exact, paper + (y.numel() if layer.bias is not None else 0)
 
 
-def _trace(module: nn.Module, x: Tensor) -> tuple[Cost, Tensor]:
-    """Cost of a module on a meta tensor, and its output. The module is of no use afterwards."""
-    macs: list[tuple[int, int]] = []
-
-    def record(layer: nn.Module, inputs: tuple[Any, ...], output: Tensor) -> None:
-        macs.append(layer_macs(layer, inputs[0], output))
-
-    with ExitStack() as hooks:
-        for layer in module.modules():
-            hooks.enter_context(layer.register_forward_hook(record))
-            if isinstance(layer, _KEEP_SHAPE):
-                # On meta tensors these take nearly all of the time.
-                layer.forward = _same  # type: ignore[method-assign, assignment]
-        y = module(x)
-    params = sum(parameter.numel() for parameter in module.parameters())
-    cost = Cost(
-        macs=sum(exact for exact, _ in macs),
-        paper_macs=sum(paper for _, paper in macs),
-        params=params,
-        paper_params=params,
-    )
-    return cost, y
-
-
-def _volume_cost(volume: nn.Module, planes: int, height: int, width: int) -> Cost:
-    """Cost of the cost volume at a quarter of the resolution, on the columns with a partner."""
-    if not isinstance(volume, LearnedVolume):
-        return Cost()
-    # Its own forward pass rewrites the layers. Here they are plain, on one plane as wide as all
-    # the cropped ones together: every cost is proportional to the number of columns.
-    columns = sum(width - i for i in range(min(planes, width)))
-    layers = nn.Sequential()
-    for conv, norm in zip(volume.conv, volume.norm, strict=True):
-        layers.extend([conv, norm, nn.ReLU()])
-    pair = torch.empty(1, 1, 2 * REDUCED_CHANNELS, height, columns, device="meta")
-    planes_cost, x = _trace(layers, pair)
-    return planes_cost + _trace(volume.squeeze, x.squeeze(2))[0]
-
-
 @torch.no_grad()
-def count_costs(config: NetConfig, height: int = 256, width: int = 512) -> dict[str, Cost]:
-    """MACs and parameters per module and in total, by shapes alone: nothing is computed.
+def count_costs(
+    network: StereoModel | str, height: int = 256, width: int = 512, **overrides: Any
+) -> dict[str, Cost]:
+    """MACs and parameters per part and in total, by shapes alone: nothing is computed.
 
     Args:
-        config: The network.
-        height: Height of a view, a multiple of the config's ``size_multiple``.
+        network: A network as `nets` writes it, or its name (see `model_info`).
+        height: Height of a view, a multiple of the network's ``size_multiple``.
         width: Width of a view, likewise.
+        **overrides: With a name, fields of its config to change.
 
     Returns:
-        Cost of "features" (both views), "channel reduction" (both views), "cost volume",
-        "pre-hourglass", "hourglasses", "heads", for a network with one "coarse pass" and, last,
-        "total".
+        Cost of each part, by the names of the network's attributes, and, last, "total".
 
     Raises:
-        InputError: If the size is not a positive multiple.
+        FileNotFoundError: See `model_info`.
+        InputError: If the size is not a positive multiple, the name or a field is unknown, or a
+            value is refused.
     """
-    multiple = config.size_multiple
+    net = _on_meta(network, overrides)
+    multiple = net.size_multiple
     for name, size in (("height", height), ("width", width)):
         if size < multiple or size % multiple:
             raise InputError(f"{name} must be a positive multiple of {multiple}, got {size}")
-    with torch.device("meta"):
-        net = StereoNet(config).eval()
-        views = torch.empty(2, 3, height, width)
-    costs = {}
-    costs["features"], views = _trace(net.features, views)
-    costs["channel reduction"], views = _trace(net.reduction, views)
-    quarter = views.shape[-2:]
-    costs["cost volume"] = _volume_cost(net.volume, config.planes, *quarter)
-    volume = views.new_empty(1, config.volume_channels, config.planes, *quarter)
-    costs["pre-hourglass"], x = _trace(
-        net.pre_hourglass, volume.flatten(1, 2) if config.dims == 2 else volume
-    )
-    costs["hourglasses"], x = _trace(nn.Sequential(*net.hourglasses), x)
-    costs["heads"], _ = _trace(net.heads[-1], x)
-    training_heads = sum(parameter.numel() for parameter in net.heads[:-1].parameters())
-    costs["heads"] += Cost(params=training_heads)
-    if config.coarse_pass:
-        half = replace(config, coarse_pass=False, max_disparity=config.max_disparity // 2)
-        passed = count_costs(half, height // 2, width // 2)["total"]
-        guide, _ = _trace(net.guide, views.new_empty(1, 1, config.planes, *quarter))
-        costs["coarse pass"] = guide + Cost(macs=passed.macs, paper_macs=passed.paper_macs)
-    costs["total"] = sum(costs.values(), Cost())
-    return costs
+    costs: defaultdict[str, Cost] = defaultdict(Cost)
+    called: set[str] = set()
+    for name, module in net.named_modules():
+        module.register_forward_hook(partial(_record, name, costs, called))
+        if isinstance(module, (*_NORMS, *_ACTIVATIONS)):
+            # Most of the time of a pass would go into their meta kernels.
+            module.forward = _same  # type: ignore[method-assign, assignment]
+    view = torch.empty(1, 3, height, width, device="meta")
+    net(view, view)
+    for name, parameter in net.named_parameters():
+        count, owner = parameter.numel(), name.rpartition(".")[0]
+        part = Cost(params=count, paper_params=count if owner in called else 0)
+        costs[name.partition(".")[0]] += part
+    parts = [name for name, _ in net.named_children() if name in costs]
+    parts += [name for name in costs if name not in parts]
+    return {**{part: costs[part] for part in parts}, "total": sum(costs.values(), Cost())}
+
+
+def _on_meta(network: StereoModel | str, overrides: dict[str, Any]) -> StereoModel:
+    """A copy of a network in eval mode, without the values of its weights."""
+    if isinstance(network, str):
+        with torch.device("meta"):
+            return build_model(network, **overrides).eval()
+    if overrides:
+        raise InputError(f"{', '.join(overrides)}: a network has its config already: give its name")
+    return copy.deepcopy(network).to("meta").eval()
+
+
+def _record(
+    name: str,
+    costs: defaultdict[str, Cost],
+    called: set[str],
+    layer: nn.Module,
+    inputs: tuple[Any, ...],
+    output: Any,
+) -> None:
+    """Forward hook of the module of this name."""
+    called.add(name)
+    if isinstance(output, Tensor) and inputs and isinstance(inputs[0], Tensor):
+        exact, paper = layer_macs(layer, inputs[0], output)
+        if exact or paper:
+            costs[name.partition(".")[0]] += Cost(macs=exact, paper_macs=paper)
+
+
+def _same(x: Tensor) -> Tensor:
+    return x

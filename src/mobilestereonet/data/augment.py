@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from mobilestereonet.data.sample import StereoSample, collate
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,7 +236,8 @@ def _colour(
     amount = (change * views.new_tensor(limits)).flatten(0, 1)
     flat = views.flatten(0, 1)
     if config.hue:
-        from kornia.enhance import adjust_hue
+        with needs_extra("train"):
+            from kornia.enhance import adjust_hue
 
         flat = adjust_hue(flat, amount[:, 3])
     luminance = _luminance(flat)
@@ -266,7 +267,8 @@ def _sensor(
         fall = (x * x + y * y) / 2
         flat = flat * (1 - config.vignette * amount[:, 0, None, None, None] * fall)
     if config.blur:
-        from kornia.filters import gaussian_blur2d
+        with needs_extra("train"):
+            from kornia.filters import gaussian_blur2d
 
         sigma = 0.05 + config.blur * amount[:, 1] * (amount[:, 2] < config.blur_probability)
         size = 2 * math.ceil(2.5 * config.blur) + 1

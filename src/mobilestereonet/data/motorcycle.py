@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from skimage.data import stereo_motorcycle
 from torch import Tensor
 
 from mobilestereonet.data.images import cover_and_crop, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample
+from mobilestereonet.errors import needs_extra
 
 CALIBRATION = Calibration(
     focal=994.978, baseline=0.193001, doffs=31.086, cx=311.193, cy=254.877, size=(741, 500)
@@ -20,7 +20,12 @@ def motorcycle() -> StereoSample:
     """Middlebury 2014's Motorcycle, 500 x 741, with ground truth and calibration.
 
     It is in scikit-image's own wheel.
+
+    Raises:
+        InputError: If scikit-image (the extra demo) is not installed.
     """
+    with needs_extra("demo"):
+        from skimage.data import stereo_motorcycle
     left, right, truth = stereo_motorcycle()  # type: ignore[no-untyped-call]
     valid = np.isfinite(truth)
     return StereoSample(

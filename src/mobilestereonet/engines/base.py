@@ -49,6 +49,11 @@ class Engine(Protocol):
         ...
 
     @property
+    def min_side(self) -> int:
+        """Smallest height and width of the views, in pixels."""
+        ...
+
+    @property
     def max_disparity(self) -> int:
         """Disparities 0 .. max_disparity - 1 are searched, in pixels."""
         ...

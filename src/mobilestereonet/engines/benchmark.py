@@ -136,6 +136,7 @@ class EagerNetwork:
         self._disparity: Callable[[Tensor, Tensor], Tensor] = self._match
         self.preprocessing = net.preprocessing
         self.size_multiple = net.size_multiple
+        self.min_side = net.min_side
         self.max_disparity = net.max_disparity
 
     def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:

@@ -45,6 +45,7 @@ class NetworkEngine(ABC):
         self.device = device
         self.preprocessing = net.preprocessing
         self.size_multiple = net.size_multiple
+        self.min_side = net.min_side
         self.max_disparity = net.max_disparity
         self.has_confidence = isinstance(net, VolumeModel)
 

@@ -56,6 +56,7 @@ class OnnxFileEngine:
 
     prefix = "onnx:"
     has_confidence = False
+    min_side = 1
 
     def __init__(
         self, model: str, *, threads: int | None = None, device: str | torch.device = "cpu"

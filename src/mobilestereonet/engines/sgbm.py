@@ -35,6 +35,7 @@ class StereoSGBM:
     threads = None
     preprocessing = RGB
     size_multiple = 1
+    min_side = 1
     has_confidence = False
 
     def __init__(self, max_disparity: int = 192) -> None:

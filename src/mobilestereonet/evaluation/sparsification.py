@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobilestereonet.atomic import write_atomically
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 
 _CURVE_POINTS = 100
 
@@ -74,7 +74,8 @@ def plot_sparsification(curves: Sequence[tuple[str, Sparsification]], picture: P
         curves: Names and curves.
         picture: PNG file to write.
     """
-    from matplotlib.figure import Figure  # its import is slow
+    with needs_extra("plots"):
+        from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.subplots()

@@ -1,19 +1,21 @@
-"""From a pair of images to a disparity map, and on to metres."""
+"""Inference: from a pair of images to disparity, depth and points."""
 
 from mobilestereonet.inference.checks import Finding, check_pair
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.inference.matcher import DEFAULT_MODEL, StereoMatcher
-from mobilestereonet.inference.prepare import View, load_pair
+from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
 from mobilestereonet.inference.rectify import rectify_pair
-from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference.result import RunInfo, StereoResult
 
 __all__ = [
     "DEFAULT_MODEL",
     "Finding",
+    "ImageLike",
     "PointCloud",
+    "RunInfo",
     "StereoMatcher",
+    "StereoPair",
     "StereoResult",
-    "View",
     "check_pair",
     "load_pair",
     "rectify_pair",

@@ -1,4 +1,4 @@
-"""Is this pair fit for stereo matching? What is wrong, and what to do, in plain words."""
+"""Checks of whether a pair is fit for stereo matching, with advice in plain words."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mobilestereonet.data.images import Picture
 Level: TypeAlias = Literal["good", "warning", "problem", "unknown"]
 Points: TypeAlias = NDArray[np.float32]
 
-_PIXELS = 1_000_000
-"""Features are looked for in pictures made smaller to this size."""
+_MAX_FEATURE_PIXELS = 1_000_000
+"""Size in pixels to which larger pictures are scaled down for the feature search."""
 
-_FEWEST = 30
-"""Matches below which nothing is said."""
+_MIN_MATCHES = 30
+"""Feature matches below which the geometry is reported as unknown."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check says.
+    """Result of one check of a pair: level, text and advice.
 
     Attributes:
         check: What was looked at, such as ``rectified``.
@@ -43,7 +43,7 @@ class Finding:
 
 
 def quick_checks(left: Picture, right: Picture) -> list[Finding]:
-    """The checks that cost milliseconds: what `predict` warns of.
+    """Run the checks that cost milliseconds; the matcher runs them on every pair.
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
@@ -56,7 +56,7 @@ def quick_checks(left: Picture, right: Picture) -> list[Finding]:
 
 
 def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[Finding]:
-    """All checks: the quick ones, and those that match image features (a second or less).
+    """Run all checks: the quick ones, and those that match image features (a second or less).
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
@@ -69,13 +69,13 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
     findings = quick_checks(left, right)
     if findings[0].level == "problem":
         return findings
-    ours, theirs = match_features(left, right)
-    if len(ours) < _FEWEST:
-        text = f"only {len(ours)} image features match, too few to tell"
+    left_points, right_points = match_features(left, right)
+    if len(left_points) < _MIN_MATCHES:
+        text = f"only {len(left_points)} image features match, too few to tell"
         advice = "make sure that both views show one scene, sharp and with texture"
         return [*findings, Finding("geometry", "unknown", text, advice)]
-    disparity, vertical = (ours - theirs).T
-    reach = float(np.percentile(np.abs(ours - theirs), 95))
+    disparity, vertical = (left_points - right_points).T
+    reach = float(np.percentile(np.abs(left_points - right_points), 95))
     if reach < 0.5:
         text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
         advice = "take two pictures from places side by side, not one twice"
@@ -90,33 +90,33 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
 
 
 def match_features(left: Picture, right: Picture) -> tuple[Points, Points]:
-    """Places of one thing in both views: SIFT features, filtered by the epipolar geometry.
+    """Match SIFT features of both views, filtered by the epipolar geometry.
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
         right: Right view, the same size.
 
     Returns:
-        Places in the left and in the right view, (N, 2) each, x and y in px.
+        Matching points in the left and the right view, (N, 2) each, x and y in px.
     """
-    scale = min(1.0, (_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
+    scale = min(1.0, (_MAX_FEATURE_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
     sift = cv2.SIFT.create(nfeatures=3000)
     features: list[tuple[Any, Any]] = []
     for view in (left, right):
         grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         features.append(sift.detectAndCompute(grey, None))
-    (ours, our_features), (theirs, their_features) = features
+    (left_keypoints, left_descriptors), (right_keypoints, right_descriptors) = features
     none = np.zeros((0, 2), np.float32)
-    if min(len(ours), len(theirs)) < 2:
+    if min(len(left_keypoints), len(right_keypoints)) < 2:
         return none, none
-    matches = cv2.BFMatcher().knnMatch(our_features, their_features, k=2)
+    matches = cv2.BFMatcher().knnMatch(left_descriptors, right_descriptors, k=2)
     # A match counts if the second best is clearly worse (Lowe's test).
     best = [first for first, second in matches if first.distance < 0.75 * second.distance]
-    if len(best) < _FEWEST:
+    if len(best) < _MIN_MATCHES:
         return none, none
-    left_points = np.array([ours[match.queryIdx].pt for match in best], np.float32)
-    right_points = np.array([theirs[match.trainIdx].pt for match in best], np.float32)
+    left_points = np.array([left_keypoints[match.queryIdx].pt for match in best], np.float32)
+    right_points = np.array([right_keypoints[match.trainIdx].pt for match in best], np.float32)
     _, inliers = cv2.findFundamentalMat(left_points, right_points, cv2.USAC_MAGSAC, 1.0, 0.999)
     if inliers is None:
         return none, none
@@ -125,19 +125,20 @@ def match_features(left: Picture, right: Picture) -> tuple[Points, Points]:
 
 
 def _content(left: Picture, right: Picture) -> Finding:
-    difference = float(np.abs(left.astype(np.int16) - right).mean())
+    difference = cv2.norm(left, right, cv2.NORM_L1) / left.size
     if difference < 0.1:
         text = "both views are the same picture"
         return Finding("content", "problem", text, "give the right camera's picture as second one")
     for name, view in (("left", left), ("right", right)):
-        if float(view.std()) < 2:
-            text = f"the {name} view is blank (all pixels near {view.mean():.0f} of 255)"
+        mean, deviation = _mean_and_deviation(view)
+        if deviation < 2:
+            text = f"the {name} view is blank (all pixels near {mean:.0f} of 255)"
             return Finding("content", "problem", text, "check the camera and the file")
     return Finding("content", "good", "two different pictures")
 
 
 def _exposure(left: Picture, right: Picture) -> Finding:
-    levels = [max(float(view.mean()), 1.0) for view in (left, right)]
+    levels = [max(_mean_and_deviation(view)[0], 1.0) for view in (left, right)]
     ratio = max(levels) / min(levels)
     text = f"mean brightness {levels[0]:.0f} and {levels[1]:.0f} of 255"
     if ratio > 1.5:
@@ -146,8 +147,15 @@ def _exposure(left: Picture, right: Picture) -> Finding:
     return Finding("exposure", "good", text)
 
 
+def _mean_and_deviation(view: Picture) -> tuple[float, float]:
+    """Mean and standard deviation over all pixels and channels."""
+    means, deviations = cv2.meanStdDev(view)
+    mean = float(means.mean())
+    return mean, float(max((deviations**2 + means**2).mean() - mean**2, 0)) ** 0.5
+
+
 def _above_each_other(disparity: Points, vertical: Points) -> bool:
-    """Whether the vertical movement is the one that differs with the distance."""
+    """Whether the vertical disparity, not the horizontal one, depends on the depth."""
     differ = float(np.median(np.abs(vertical - np.median(vertical)))) > 0.5
     horizontal = float(np.percentile(np.abs(disparity), 95))
     return differ and float(np.median(np.abs(vertical))) > 4 * horizontal
@@ -171,21 +179,21 @@ def _rectified(vertical: Points, height: int) -> Finding:
 
 
 def _order(disparity: Points) -> Finding:
-    behind, ahead = float(np.mean(disparity < -1)), float(np.mean(disparity > 1))
+    negative, positive = float(np.mean(disparity < -1)), float(np.mean(disparity > 1))
     shift = -float(np.percentile(disparity, 1))
     converge = (
         "the cameras converge, or the views are cropped differently: rectify them, or move the "
         f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
     )
-    if behind > max(0.3, 4 * ahead):
-        text = f"{behind:.0%} of the features move to the right from the left view to the right one"
+    if negative > max(0.3, 4 * positive):
+        text = f"{negative:.0%} of the features move to the right, seen from the left view"
         advice = (
             "the views are swapped: exchange them; but if near things are then blue in the picture "
             f"of `msnet predict`, they were in order, and {converge}"
         )
         return Finding("order", "problem", text, advice)
-    if behind > 0.05:
-        text = f"{behind:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
+    if negative > 0.05:
+        text = f"{negative:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
         return Finding("order", "problem", text, converge)
     return Finding("order", "good", "left is left and right is right")
 

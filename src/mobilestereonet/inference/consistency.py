@@ -1,34 +1,32 @@
-"""The left-right check: what both views agree on."""
+"""Left-right consistency check: marks pixels on whose disparity the two views disagree."""
 
 from __future__ import annotations
 
-import numpy as np
+import torch
+from torch import Tensor
 
-from mobilestereonet.data.images import FloatMap, Mask
-
-AGREEMENT = 1.0
-"""Pixels by which the two views' disparities of one point may differ."""
+MAX_DISAGREEMENT_PX = 1.0
+"""Largest difference between both views' disparities of one point that still is agreement."""
 
 
-def occluded_pixels(left: FloatMap, right: FloatMap) -> Mask:
-    """Where the disparities of both views contradict each other.
+def occluded_pixels(left: Tensor, right: Tensor) -> Tensor:
+    """Mask of the left pixels whose disparity the right view's contradicts.
 
     Those are the pixels that the right camera does not see, and wrong matches.
 
     Args:
-        left: Disparity of the left view, (H, W), in px.
-        right: Disparity of the right view, (H, W), in px: right pixel (x, y) matches left pixel
-            (x + disparity, y).
+        left: Disparity of the left view, (..., H, W), in px.
+        right: Disparity of the right view, (..., H, W), in px: right pixel (x, y) matches left
+            pixel (x + disparity, y).
 
     Returns:
-        (H, W), True where the match lies beyond the right view's border, or the right view's
-        disparity there differs by more than `AGREEMENT`.
+        (..., H, W) bool, True where the match lies beyond the right view's border, or the right
+        view's disparity there differs by more than `MAX_DISAGREEMENT_PX`.
     """
-    width = left.shape[1]
+    width = left.shape[-1]
     # What is not finite is sent beyond the border.
-    column = np.arange(width) - np.where(np.isfinite(left), left, 2 * width)
-    column = np.rint(column.clip(-1, width)).astype(int)
-    there = np.take_along_axis(right, column.clip(0, width - 1), axis=1)
-    agree = np.abs(left - there) <= AGREEMENT
-    occluded: Mask = (column < 0) | (column >= width) | ~agree
-    return occluded
+    shift = torch.where(left.isfinite(), left, 2 * width)
+    column = (torch.arange(width, device=left.device) - shift).clamp(-1, width).round().long()
+    matched = right.gather(-1, column.clamp(0, width - 1))
+    agree = (left - matched).abs() <= MAX_DISAGREEMENT_PX
+    return (column < 0) | (column >= width) | ~agree

@@ -1,4 +1,4 @@
-"""From disparity to metres: depth, and points in the left camera's frame."""
+"""Depth in metres and point clouds from disparity maps."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
-SMALLEST_DISPARITY = 1 / KITTI_SCALE
-"""Pixels of disparity, the step of KITTI's files: what is below has no depth."""
+MIN_DISPARITY_PX = 1 / KITTI_SCALE
+"""Smallest disparity that gives a depth: the step of KITTI's files."""
 
-STEEPEST = 1.0
-"""Pixels of disparity per pixel: a surface that falls away faster hides from the right camera."""
+MAX_DISPARITY_GRADIENT = 1.0
+"""Pixels of disparity per pixel: a steeper surface is hidden from the right camera."""
 
 POINT_FORMATS = (".ply", ".glb")
 
@@ -41,25 +41,25 @@ def depth_from_disparity(disparity: FloatMap, valid: Mask, calibration: Calibrat
     height, width = disparity.shape
     calibration.require_size(width, height)
     shifted = disparity + np.float32(calibration.doffs)
-    known = valid & (shifted >= SMALLEST_DISPARITY)
+    known = valid & (shifted >= MIN_DISPARITY_PX)
     depth = calibration.focal * calibration.baseline / np.where(known, shifted, 1)
     return np.where(known, depth, 0).astype(np.float32)
 
 
 def depth_edges(disparity: FloatMap, valid: Mask) -> Mask:
-    """Where two surfaces meet: a network's disparity there is of neither of them.
+    """Mask of depth edges, where a network's disparity lies between two surfaces.
 
     Args:
         disparity: (H, W), in px.
         valid: (H, W), False where the disparity is not known.
 
     Returns:
-        (H, W), True on both sides of each step above `STEEPEST` between neighbours in a row or a
-        column.
+        (H, W), True on both sides of each step above `MAX_DISPARITY_GRADIENT` between neighbours
+        in a row or a column.
     """
     known = np.where(valid, disparity, np.nan)  # a step to the unknown is none
-    down = np.abs(np.diff(known, axis=0)) > STEEPEST
-    right = np.abs(np.diff(known, axis=1)) > STEEPEST
+    down = np.abs(np.diff(known, axis=0)) > MAX_DISPARITY_GRADIENT
+    right = np.abs(np.diff(known, axis=1)) > MAX_DISPARITY_GRADIENT
     edges = np.zeros(disparity.shape, dtype=bool)
     edges[1:] |= down
     edges[:-1] |= down
@@ -70,7 +70,7 @@ def depth_edges(disparity: FloatMap, valid: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points with colours, in the left camera's frame: x to the right, y down, z forward.
+    """Coloured point cloud in the left camera's frame: x to the right, y down, z forward.
 
     Attributes:
         points: (N, 3) float32, in metres.
@@ -106,7 +106,7 @@ class PointCloud:
 
 
 def check_points_file(path: str | Path) -> Path:
-    """The path, if points can be written in the format that its ending names.
+    """Check that points can be written in the format that a path's ending names.
 
     Raises:
         InputError: If they can't.

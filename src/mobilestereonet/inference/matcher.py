@@ -1,86 +1,113 @@
-"""Stereo matching for users: any pair in, `StereoResult` out."""
+"""`StereoMatcher`: any rectified pair in, `StereoResult` out."""
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mobilestereonet.data.images import to_picture
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine, open_standalone
-from mobilestereonet.engines.threads import use_threads
-from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.checks import quick_checks
 from mobilestereonet.inference.consistency import occluded_pixels
-from mobilestereonet.inference.prepare import View, load_pair, pad, unpad
-from mobilestereonet.inference.refine import refine_disparity
-from mobilestereonet.inference.result import StereoResult
-from mobilestereonet.inference.tiling import TILE, WHOLE_PIXELS, match_in_tiles
-from mobilestereonet.nets import StereoModel, model_name
+from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
+from mobilestereonet.inference.predict import Tile, predict_disparity
+from mobilestereonet.inference.result import RunInfo, StereoResult
+from mobilestereonet.nets import StereoModel, VolumeModel, model_name
+from mobilestereonet.nets.model import Prediction
 from mobilestereonet.weights import load_model
 
-DEFAULT_MODEL = "msnet2d"
+DEFAULT_MODEL = "msnet3d"
 
 
 class StereoMatcher:
-    """Matches rectified pairs of any size: checks, normalises, pads, runs an engine, unpads.
+    """Matches rectified pairs of any size.
 
-    ``matcher(left, right)`` takes one pair, `batch` takes several, `disparity` takes and gives
-    tensors.
+    ``matcher(left, right)`` matches one pair of files, arrays, tensors or PIL images, `batch`
+    several; `infer` takes and gives tensors. A pair is read and checked once, goes to the engine's
+    device, is preprocessed, padded (or cut into tiles), matched and refined there, and comes back
+    as arrays once.
+
+    Attributes:
+        engine: Engine that computes the disparity; it has the name, precision and device.
+        model: Name of the model.
     """
+
+    engine: Engine
 
     def __init__(
         self,
-        engine: StereoModel | Engine,
+        model: StereoModel | Engine,
         *,
-        model: str | None = None,
+        name: str | None = None,
+        engine: str = "torch",
+        precision: str = "fp32",
+        device: str | torch.device | None = None,
+        threads: int | None = None,
         padding: tuple[int, int] | None = None,
-        tile: tuple[int, int] | Literal["auto"] | None = "auto",
+        tile: Tile = "auto",
         confidence: bool = False,
         left_right: bool = False,
-        refine: bool = False,
+        refine: bool | None = None,
     ) -> None:
-        """Wrap an engine.
+        """Make a matcher of a network or an engine.
 
         Args:
-            engine: A network, which PyTorch runs on the CPU, or a runtime.
-            model: What ``facts`` call it; by default told from the network's config.
+            model: A network, or an engine, which has its precision, device and threads already.
+            name: What results call the model; by default told from the network's config.
+            engine: Engine that runs the network: "torch", "onnxruntime" or "openvino".
+            precision: "fp32", "bf16", "fp16" (on a GPU), or "auto": bf16 where the engine has it
+                and the processor or GPU instructions for it, else fp32.
+            device: Device that runs the network, such as "cpu", "cuda:1" or "mps", or "auto": a
+                GPU if there is one (see `open_engine`). By default the network's own.
+            threads: Threads on a CPU; None leaves them to the engine.
             padding: Height and width to which every pair is padded with zeros, as the authors do;
-                by default its border is repeated up to the next multiples that the engine takes.
+                by default its border is repeated up to the next size that the engine takes.
             tile: Height and width of the overlapping tiles in which a larger pair is matched,
-                margins included; None for one piece at any size. By default `TILE`, for pairs
-                above `WHOLE_PIXELS`: in tiles any pair needs what Full HD needs in one piece,
-                with msnet2d less than 4 GB.
+                margins included; None for one piece at any size. By default `TILE_SIZE`, for pairs
+                above `MAX_UNTILED_PIXELS`: in tiles any pair needs what Full HD needs in one
+                piece, some 6 GB with msnet3d in fp32, and half of that in bf16.
             confidence: Results have a confidence, at no cost.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.
-            refine: Refine the disparity by the picture, see `inference.refine`, for some percent
-                more time.
+            refine: Refine the disparity by the colours of the view, see `inference.refine`, for
+                some percent more time. By default where the network's estimator is "mode", as it
+                is with this package's weights, and not with the authors'.
 
         Raises:
-            InputError: If both ``padding`` and ``tile`` are given, or the engine tells no
+            InputError: If an engine is unknown or not installed, or lacks the precision or the
+                device; if both ``padding`` and ``tile`` are given; or if the engine has no
                 confidence, which ``confidence`` and ``refine`` need.
         """
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
-        if isinstance(engine, StereoModel):
-            model = model or model_name(engine.config)
-            engine = TorchEngine(engine)
-        if (confidence or refine) and not engine.has_confidence:
+        self._net = model if isinstance(model, StereoModel) else None
+        self._options: dict[str, Any] = {"precision": precision, "threads": threads}
+        if isinstance(model, StereoModel):
+            name = name or model_name(model.config)
+            self._options["name"] = engine
+            self.to(_device_of(model) if device is None else device)
+        elif (engine, precision, device, threads) != ("torch", "fp32", None, None):
             raise InputError(
-                f"{engine.name} tells no confidence: leave out confidence, min-confidence and "
+                f"{model.name} is an engine already: choose its precision, device and threads "
+                "where it is made"
+            )
+        else:
+            self.engine = model
+        if refine is None:
+            refine = isinstance(model, VolumeModel) and model.regression.estimator == "mode"
+        if (confidence or refine) and not self.engine.has_confidence:
+            raise InputError(
+                f"{self.engine.name} has no confidence: leave out confidence, min-confidence and "
                 "refine; left-right works"
             )
-        self.runtime: Engine = engine
-        self.model = model or engine.name
+        self.model = name or self.engine.name
         self.padding = padding
         self.tile = tile
         self.confidence = confidence
@@ -90,32 +117,41 @@ class StereoMatcher:
     @classmethod
     def from_pretrained(
         cls,
-        model: str | None = None,
+        source: str | Path = DEFAULT_MODEL,
         *,
-        weights: str | Path | None = None,
-        runtime: str = "torch",
+        model: str | None = None,
+        revision: str | None = None,
+        engine: str = "torch",
+        precision: str = "fp32",
+        device: str | torch.device = "cpu",
+        threads: int | None = None,
         padding: tuple[int, int] | None = None,
-        tile: tuple[int, int] | Literal["auto"] | None = "auto",
+        tile: Tile = "auto",
         confidence: bool = False,
         left_right: bool = False,
         refine: bool | None = None,
-        **options: Any,
+        **overrides: Any,
     ) -> StereoMatcher:
-        """Matcher with trained weights.
+        """Make a matcher with trained weights.
 
         Args:
-            model: Name of a model whose weights come with the package, or "sgbm" (OpenCV's
-                semi-global matching). By default "msnet2d", or what ``weights`` holds.
-            weights: File to read instead: ours, or a checkpoint of the authors.
-            runtime: Engine that runs the network: "torch", "onnxruntime" or "openvino".
-            padding: See `StereoMatcher`.
+            source: What `load_model` takes: the name of a model whose weights come with the
+                package, a weights file or folder, or a repository "org/name" of the Hugging Face
+                hub. Or a model that needs no network of this package: "sgbm" (OpenCV's semi-global
+                matching), "onnx:FILE" (see `OnnxFileEngine`).
+            model: Name of the network that ``source`` holds, where a file does not tell.
+            revision: Branch, tag or commit of a repository.
+            engine: See `StereoMatcher`, and so are the others.
+            precision: Likewise.
+            device: Likewise.
+            threads: Likewise.
+            padding: Likewise.
             tile: Likewise.
             confidence: Likewise.
             left_right: Likewise.
-            refine: Likewise; by default where the network's estimator is "mode", as it is with our
-                weights, and not with the authors'.
-            **options: For the engine: ``precision``, ``threads``, ``device`` and ``cache`` of
-                `open_engine`, or ``max_disparity`` of `StereoSGBM`.
+            refine: Likewise.
+            **overrides: Values of the network's config in place of those of the weights, such as
+                ``estimator="mean"``; for "sgbm" its ``max_disparity``.
 
         Raises:
             FileNotFoundError: If there is no such weights file.
@@ -128,48 +164,93 @@ class StereoMatcher:
             "tile": tile,
             "confidence": confidence,
             "left_right": left_right,
+            "refine": refine,
         }
-        if model is not None and (standalone := open_standalone(model, **options)):
-            if weights is not None:
-                raise InputError(f"{model} has no weights to read from {weights}: leave them out")
-            return cls(standalone, **wanted, refine=bool(refine))
-        name, net = pretrained_net(model, weights)
-        wanted["refine"] = net.config.estimator == "mode" if refine is None else refine
-        return cls(open_engine(runtime, net, **options), model=name, **wanted)
+        if isinstance(source, str):
+            alone = open_standalone(source, threads=threads, device=device, **overrides)
+            if alone is not None:
+                given = {"model": model, "revision": revision}
+                given |= {"engine": engine, "precision": precision}
+                defaults = (None, "torch", "fp32", "auto")
+                if chosen := [key for key, value in given.items() if value not in defaults]:
+                    raise InputError(f"{source} runs by itself: leave {', '.join(chosen)} out")
+                name = Path(source.partition(",")[0]).name  # without an ONNX file's options
+                return cls(alone, name=name, **wanted)
+        net = load_model(source, model=model, revision=revision, **overrides)
+        return cls(
+            net,
+            name=model,
+            engine=engine,
+            precision=precision,
+            device=device,
+            threads=threads,
+            **wanted,
+        )
 
-    @overload
-    def __call__(self, left: View, right: View) -> StereoResult: ...
+    def to(self, device: str | torch.device) -> StereoMatcher:
+        """Move the matcher to a device: the engine is made anew there from the network.
 
-    @overload
-    def __call__(self, left: Sequence[tuple[View, View]]) -> list[StereoResult]: ...
+        Args:
+            device: Such as "cpu", "cuda:1", "mps" or a `torch.device`; "auto" is a GPU if there
+                is one.
 
-    def __call__(self, left: Any, right: Any = None) -> Any:
-        """Match one pair, or several of one size in one run of the engine.
+        Returns:
+            The matcher itself.
+
+        Raises:
+            InputError: If there is no such device, the engine does not run there, or the matcher
+                was made of an engine instead of a network.
+        """
+        if self._net is None:
+            raise InputError(
+                f"{self.engine.name} was given as an engine on {self.device}: make it on {device}"
+            )
+        self.engine = open_engine(net=self._net, device=device, **self._options)
+        return self
+
+    @property
+    def device(self) -> torch.device:
+        """Device that the engine runs on."""
+        return self.engine.device
+
+    @property
+    def summary(self) -> str:
+        """Model, engine and precision in words."""
+        return f"{self.model} on {self.engine.name} {self.engine.precision}"
+
+    def __repr__(self) -> str:
+        engine = self.engine
+        return f"StereoMatcher({self.model}, {engine.name}, {engine.precision}, {self.device})"
+
+    def __call__(self, left: ImageLike, right: ImageLike | None = None) -> StereoResult:
+        """Match one pair.
 
         Args:
             left: Left view: the path of an image; an array (H, W) or (H, W, 1|3|4) in RGB order,
-                uint8, uint16 or floating point in 0..1; or a tensor (3, H, W) or (B, 3, H, W).
-                At least 2 x 2 pixels. Or a list of (left, right) pairs of one size.
-            right: Right view of the same size, likewise; left out with a list.
+                uint8, uint16 or floating point in 0..1; a tensor (3, H, W) or (1, 3, H, W); or a
+                PIL image. At least 2 x 2 pixels.
+            right: Right view of the same size, likewise.
 
         Returns:
-            The result, in the size of the views; a list of results, one per pair, for a list of
-            pairs and for tensors with B above 1.
+            The result, in the size of the views.
 
         Raises:
             FileNotFoundError: If a file does not exist.
-            InputError: If a view is not as above, or the sizes differ.
+            InputError: If a view is missing or not as above, or the sizes differ.
         """
         if right is None:
-            return self.batch(left)
-        if all(isinstance(view, Tensor) and view.ndim == 4 for view in (left, right)):
-            if len(left) != len(right):
-                raise InputError(f"batches of {len(left)} left and {len(right)} right views")
-            results = self.batch(zip(left, right, strict=True))
-            return results[0] if len(results) == 1 else results
-        return self.batch([(left, right)])[0]
+            raise InputError(
+                "no right view: one pair is matcher(left, right), several are matcher.batch(pairs)"
+            )
+        return self.match(load_pair(left, right))
 
-    def batch(self, pairs: Iterable[tuple[View, View]]) -> list[StereoResult]:
+    def match(self, pair: StereoPair) -> StereoResult:
+        """Match a pair that `load_pair` has read and checked."""
+        return self._match([pair])[0]
+
+    def batch(
+        self, pairs: Iterable[tuple[ImageLike, ImageLike] | StereoPair]
+    ) -> list[StereoResult]:
         """Match pairs of one size in one run of the engine.
 
         Args:
@@ -177,167 +258,116 @@ class StereoMatcher:
                 (B, 3, H, W) go in as ``zip(left, right)``.
 
         Returns:
-            One result per pair.
+            One result per pair, also for a single one.
 
         Raises:
             FileNotFoundError: If a file does not exist.
             InputError: If a view is not as it should be, or the sizes differ.
         """
-        loaded = [load_pair(left, right) for left, right in pairs]
-        if not loaded:
-            return []
-        sizes = {f"{left.shape[-1]}x{left.shape[-2]}" for left, _ in loaded}
+        loaded = []
+        for pair in pairs:
+            if not isinstance(pair, StereoPair):
+                if not (isinstance(pair, tuple | list) and len(pair) == 2):
+                    raise InputError(
+                        f"a batch is a list of pairs (left, right), got {type(pair).__name__} in "
+                        "it; two tensors (B, 3, H, W) go in as zip(left, right)"
+                    )
+                pair = load_pair(*pair)
+            loaded.append(pair)
+        sizes = {f"{pair.width}x{pair.height}" for pair in loaded}
         if len(sizes) > 1:
             raise InputError(
                 f"a batch needs pairs of one size, got {', '.join(sorted(sizes))}: match them "
                 "one by one"
             )
-        left, right = (torch.stack(views) for views in zip(*loaded, strict=True))
-        started = time.perf_counter()
-        disparities, *more = self._maps(left, right, self.confidence).cpu()
-        confidences: Sequence[Tensor | None] = more[0].unbind() if more else [None] * len(loaded)
-        right_disparities: Sequence[Tensor | None] = [None] * len(loaded)
-        if self.left_right:
-            right_disparities = self.right_disparity(left, right).cpu().unbind()
-        facts = {
-            "model": self.model,
-            "runtime": self.runtime.name,
-            "precision": self.runtime.precision,
-            "refined": self.refine,
-            "width": left.shape[-1],
-            "height": left.shape[-2],
-            "seconds": (time.perf_counter() - started) / len(loaded),
-        }
-        return [
-            _result(*maps, dict(facts))
-            for maps in zip(left, disparities, confidences, right_disparities, strict=True)
-        ]
+        return self._match(loaded) if loaded else []
 
-    def disparity(self, left: Tensor, right: Tensor) -> Tensor:
-        """Match a batch of tensors that need no check of their values.
+    def infer(self, left: Tensor, right: Tensor) -> Prediction:
+        """Match a batch of tensors; the values are not checked.
 
         Args:
-            left: Left views, (B, 3, H, W) float, RGB in 0..1.
-            right: Right views, the same.
+            left: Left views, (B, 3, H, W), RGB in 0..1, on any device.
+            right: Right views, likewise.
 
         Returns:
-            Disparity of the left views in px, (B, H, W) float32, on the device of ``left``.
+            Disparity of the left views in px, (B, H, W) float32, and its confidence in 0..1,
+            likewise, or None where the engine has none; on the device of ``left``.
 
         Raises:
             InputError: If the shapes differ, or exceed the ``padding`` of this matcher, or if its
                 tiles are too small for their margins.
         """
-        return self._maps(left, right)[0]
+        return self._infer(left, right, self.engine.has_confidence)
 
-    def right_disparity(self, left: Tensor, right: Tensor) -> Tensor:
-        """Disparity of the right views: both are mirrored, and change places.
+    def disparity(self, left: Tensor, right: Tensor) -> Tensor:
+        """Disparity alone of `infer`, a function as the evaluation takes it."""
+        return self._infer(left, right, False).disparity
 
-        Args:
-            left: Left views, (B, 3, H, W) float, RGB in 0..1.
-            right: Right views, the same.
-
-        Returns:
-            Disparity of the right views in px, (B, H, W) float32: right pixel (x, y) matches left
-            pixel (x + disparity, y).
-
-        Raises:
-            InputError: As `disparity` does.
-        """
-        return self.disparity(right.flip(-1), left.flip(-1)).flip(-1)
-
-    def _maps(self, left: Tensor, right: Tensor, confidence: bool = False) -> Tensor:
-        """Disparity, and the confidence if it is asked for: (1 or 2, B, H, W)."""
+    def _infer(self, left: Tensor, right: Tensor, confidence: bool) -> Prediction:
         if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
             raise InputError(
                 "left and right must both be (B, 3, H, W), "
                 f"got {tuple(left.shape)} and {tuple(right.shape)}"
             )
-        match = partial(self._match_whole, confidence=confidence or self.refine)
-        tile = self._tile_for(*left.shape[-2:])
-        if tile is None:
-            maps = match(left, right)
-        else:
-            maps = match_in_tiles(
-                match,
-                left,
-                right,
-                tile=tile,
-                max_disparity=self.runtime.max_disparity,
-                multiple=self.runtime.size_multiple,
+        views = (view.to(self.device, torch.float32) for view in (left, right))
+        with torch.inference_mode():
+            maps = self._predict(next(views), next(views), confidence)
+        # Copies: what was made in inference mode cannot take part in training.
+        disparity, *more = (map_.to(left.device).clone() for map_ in maps if map_ is not None)
+        return Prediction(disparity, *more)
+
+    def _match(self, pairs: list[StereoPair]) -> list[StereoResult]:
+        """Match pairs of one size: to the device, through the engine, and back as arrays."""
+        started = time.perf_counter()
+        with torch.inference_mode():
+            left = torch.stack([pair.left.to(self.device) for pair in pairs])
+            right = torch.stack([pair.right.to(self.device) for pair in pairs])
+            disparity, confidence = self._predict(left, right, self.confidence)
+            right_disparity = occluded = None
+            if self.left_right:
+                # Mirrored, and in each other's place.
+                right_disparity = self._predict(right.flip(-1), left.flip(-1), False)[0].flip(-1)
+                occluded = occluded_pixels(disparity, right_disparity)
+        names = ("disparity", "confidence", "right_disparity", "occluded")
+        maps = {
+            name: map_.cpu().contiguous().numpy()
+            for name, map_ in zip(
+                names, (disparity, confidence, right_disparity, occluded), strict=True
             )
-        if not self.refine:
-            return maps
-        disparity, sure = maps
-        with use_threads(getattr(self.runtime, "threads", None)):
-            disparity = refine_disparity(disparity, sure, left)
-        return torch.stack((disparity, sure)) if confidence else disparity[None]
-
-    def _tile_for(self, height: int, width: int) -> tuple[int, int] | None:
-        if self.tile != "auto":
-            return self.tile
-        return TILE if self.padding is None and height * width > WHOLE_PIXELS else None
-
-    def _match_whole(self, left: Tensor, right: Tensor, *, confidence: bool) -> Tensor:
-        height, width = left.shape[-2:]
-        padded = self._padded_size(height, width)
-        left_view, right_view = (
-            pad(self.runtime.preprocessing(view), *padded, zeros=self.padding is not None)
-            for view in (left, right)
+            if map_ is not None
+        }
+        info = RunInfo(
+            model=self.model,
+            engine=self.engine.name,
+            precision=self.engine.precision,
+            device=str(self.device),
+            refined=self.refine,
+            width=pairs[0].width,
+            height=pairs[0].height,
+            seconds=(time.perf_counter() - started) / len(pairs),
         )
-        found = self.runtime(left_view, right_view, confidence)
-        maps = torch.stack([map_ for map_ in found if map_ is not None])
-        return unpad(maps, height, width).to(left.device)
-
-    def _padded_size(self, height: int, width: int) -> tuple[int, int]:
-        multiple = self.runtime.size_multiple
-        if self.padding is None:
-            return math.ceil(height / multiple) * multiple, math.ceil(width / multiple) * multiple
-        if height > self.padding[0] or width > self.padding[1]:
-            raise InputError(
-                f"views of {height} x {width} (height x width) are larger than the padding to "
-                f"{self.padding[0]} x {self.padding[1]}"
+        return [
+            StereoResult(
+                left=pair.left_image,
+                valid=np.isfinite(maps["disparity"][index]),
+                findings=tuple(quick_checks(pair.left_image, pair.right_image)),
+                info=info,
+                **{name: map_[index] for name, map_ in maps.items()},
             )
-        return self.padding
+            for index, pair in enumerate(pairs)
+        ]
+
+    def _predict(self, left: Tensor, right: Tensor, confidence: bool) -> Prediction:
+        return predict_disparity(
+            self.engine,
+            left,
+            right,
+            padding=self.padding,
+            tile=self.tile,
+            refine=self.refine,
+            confidence=confidence,
+        )
 
 
-def _result(
-    left: Tensor,
-    disparity: Tensor,
-    confidence: Tensor | None,
-    right_disparity: Tensor | None,
-    facts: dict[str, Any],
-) -> StereoResult:
-    disparities = disparity.contiguous().numpy()
-    right = occluded = None
-    if right_disparity is not None:
-        right = right_disparity.contiguous().numpy()
-        occluded = occluded_pixels(disparities, right)
-    return StereoResult(
-        left=to_picture(left),
-        disparity=disparities,
-        valid=np.isfinite(disparities),
-        confidence=None if confidence is None else confidence.contiguous().numpy(),
-        right_disparity=right,
-        occluded=occluded,
-        facts=facts,
-    )
-
-
-def pretrained_net(model: str | None, weights: str | Path | None) -> tuple[str, StereoModel]:
-    """A network with trained weights, and what it is called.
-
-    Args:
-        model: Name of a model whose weights come with the package; by default "msnet2d", or what
-            ``weights`` holds.
-        weights: File to read instead: ours, or a checkpoint of the authors.
-
-    Raises:
-        FileNotFoundError: If there is no such weights file.
-        InputError: If the name is unknown, there are no weights for it, or the file is damaged,
-            holds another model than ``model`` or is the name of one.
-    """
-    if weights is None:
-        model = model or DEFAULT_MODEL
-        return model, load_model(model)
-    net = load_model(weights, model=model)
-    return model or model_name(net.config), net
+def _device_of(net: StereoModel) -> torch.device:
+    return next((tensor.device for tensor in net.parameters()), torch.device("cpu"))

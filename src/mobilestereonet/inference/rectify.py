@@ -1,4 +1,4 @@
-"""From two calibrated cameras to a pair whose rows match."""
+"""Rectification: undistorted, rotated views of two calibrated cameras, whose rows match."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Image = NDArray[Any]
 def rectify_pair(
     left: Image, right: Image, rig: StereoRig, *, whole: bool = False
 ) -> tuple[Image, Image, Calibration]:
-    """Undistort and rotate both views so that what matches lies in one row.
+    """Rectify a pair: undistort and rotate both views so that matching points share a row.
 
     Args:
         left: Left view, (H, W) or (H, W, C), uint8, uint16 or float32.

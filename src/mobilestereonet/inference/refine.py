@@ -1,11 +1,13 @@
-"""Refinement by the picture: occluded pixels from their background, edges from the colours.
+"""Image-guided disparity refinement: fills occlusions, and moves edges to those of the colours.
 
 The networks decide at every fourth pixel, so edges come out some pixels off, and what one camera
-alone sees is guesswork. Both can be mended without learning anything: what is unsure takes the
-disparity of the farther sure neighbour, as semi-global matching fills its gaps, and near edges
-each pixel takes the disparity that its neighbours of like colour agree on (a weighted median, as
-in Ma et al., "Constant Time Weighted Median Filtering for Stereo Matching and Beyond", ICCV 2013,
-over a few sparse neighbours).
+alone sees is guesswork. Both can be corrected without learning anything: a pixel of low confidence
+takes the disparity of the farther confident neighbour in its row, as semi-global matching fills
+its gaps, and near edges each pixel takes the disparity that its neighbours of like colour agree on
+(a weighted median, as in Ma et al., "Constant Time Weighted Median Filtering for Stereo Matching
+and Beyond", ICCV 2013, over a few sparse neighbours).
+
+Everything runs on the device of the disparity.
 """
 
 from __future__ import annotations
@@ -14,109 +16,115 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-SURE = 0.35
-"""Confidence from which a pixel keeps its disparity, and is a neighbour for others."""
+MIN_CONFIDENCE = 0.35
+"""Confidence (0..1) from which a pixel keeps its disparity, and is a neighbour for others."""
 
-SLACK = 4
-"""Pixels by which an unsure gap may be wider than what occlusion hides."""
+OCCLUSION_SLACK_PX = 4
+"""Pixels by which a gap of low confidence may be wider than what occlusion explains."""
 
-STEPS = (7, 4, 2, 1)
-"""Distances in px of the 3 x 3 neighbours, one pass after the other."""
+NEIGHBOUR_STEPS_PX = (7, 4, 2, 1)
+"""Distances of the 3 x 3 neighbours that vote, one pass after the other."""
 
-EDGE = 3.0
-"""Pixels by which the neighbours' disparities differ at an edge."""
+EDGE_STEP_PX = 3.0
+"""Difference in disparity within the 3 x 3 neighbours above which a pixel lies near an edge."""
 
-SAME = 1.0
-"""Pixels within which two disparities are of one surface: a pixel's own is the finer one then."""
+SAME_SURFACE_PX = 1.0
+"""A pixel keeps its own disparity if the vote differs by no more: its own is the finer one."""
 
-COLOUR = 0.1
+COLOUR_SIGMA = 0.1
 """Standard deviation of the colour (RGB in 0..1) within one surface."""
 
-OWN_VOTE = 0.9
-"""What a pixel's own vote counts: along a straight edge it would end in a draw with its side."""
+OWN_WEIGHT = 0.9
+"""Weight of a pixel's own vote: with 1, a vote along a straight edge would end in a draw."""
 
-OUTLIER = 8.0
-"""Pixels beyond which a neighbour's disparity is just another one."""
+VOTE_LIMIT_PX = 8.0
+"""Difference in disparity at which the cost of disagreeing with a neighbour is cut off."""
+
+_CHUNK_CPU, _CHUNK_GPU = 1 << 15, 1 << 20
+"""Edge pixels per step: on a CPU as many as keep their neighbours in its cache."""
 
 
 def refine_disparity(disparity: Tensor, confidence: Tensor, views: Tensor) -> Tensor:
-    """Refine disparities where they are unsure, and at their edges.
+    """Refine disparities where their confidence is low, and at their edges.
 
     Everywhere else they stay as they are.
 
     Args:
         disparity: Disparity in px, (B, H, W) float32.
-        confidence: Its confidence in 0..1, (B, H, W), see `mobilestereonet.nets.confidence`.
-        views: The views that it belongs to, (B, 3, H, W), RGB in 0..1.
+        confidence: Its confidence in 0..1, (B, H, W), on the same device.
+        views: The views that it belongs to, (B, 3, H, W), RGB in 0..1, on the same device.
 
     Returns:
-        Disparity in px, (B, H, W).
+        Disparity in px, (B, H, W), on that device.
     """
-    disparity = _from_background(disparity, confidence >= SURE)
-    weight = confidence.clamp(min=SURE)
-    for step in STEPS:
-        disparity = _by_colour(disparity, weight, views, step)
+    disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE)
+    weight = confidence.clamp(min=MIN_CONFIDENCE)
+    for step in NEIGHBOUR_STEPS_PX:
+        disparity = _align_edges(disparity, weight, views, step)
     return disparity
 
 
-def _from_background(disparity: Tensor, sure: Tensor) -> Tensor:
-    """Give unsure pixels the farther of the two nearest sure ones of their row.
+def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
+    """Fill gaps in each row with the farther of the two confident pixels beside them.
 
-    Where occlusion explains the gap between those: left of a nearer surface it is as wide as the
-    step in disparity, at the left border as the disparity itself, elsewhere it is none. What is
-    unsure over more pixels is hard to match.
+    Only gaps that occlusion explains are filled: left of a nearer surface an occlusion is as wide
+    as the step in disparity, at the left border as wide as the disparity itself, elsewhere there
+    is none. Wider gaps are pixels that are hard to match, not hidden ones.
     """
     width = disparity.shape[-1]
     column = torch.arange(width, device=disparity.device).expand_as(disparity)
-    before = torch.where(sure, column, -1).cummax(-1).values
-    after = torch.where(sure, column, width).flip(-1).cummin(-1).values.flip(-1)
+    before = torch.where(confident, column, -1).cummax(-1).values
+    after = torch.where(confident, column, width).flip(-1).cummin(-1).values.flip(-1)
     no_left, no_right = before < 0, after == width
     left = disparity.gather(-1, before.clamp(min=0))
     right = disparity.gather(-1, after.clamp(max=width - 1))
     farther = torch.where(no_left, right, torch.where(no_right, left, torch.minimum(left, right)))
     step = torch.where(no_right, 0, right - left.masked_fill(no_left, 0)).clamp(min=0)
-    occluded = ~sure & (after - before - 1 <= step + SLACK)
+    occluded = ~confident & (after - before - 1 <= step + OCCLUSION_SLACK_PX)
     return torch.where(occluded & ~(no_left & no_right), farther, disparity)
 
 
-def _by_colour(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
-    """Give pixels at edges the disparity that costs least among their 3 x 3 neighbours'."""
+def _align_edges(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
+    """Give pixels near edges the disparity that costs least among their 3 x 3 neighbours'."""
     height, width = disparity.shape[-2:]
     maps = torch.cat((views, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1)
-    pixels = maps.movedim(1, -1).reshape(-1, maps.shape[1])
+    pixels = maps.movedim(1, -1).reshape(-1, maps.shape[1])  # (B H W, 5): RGB, disparity, weight
     refined = disparity.flatten().clone()
-    edges = torch.nonzero(_relief(disparity, step) > EDGE)
-    for image, row, column in (some.unbind(1) for some in edges.split(_CACHED)):
+    chunk = _CHUNK_CPU if disparity.device.type == "cpu" else _CHUNK_GPU
+    edges = _edge_pixels(disparity, step)
+    for image, row, column in (part.unbind(1) for part in edges.split(chunk)):
         rows = [image * height + (row + y).clamp(0, height - 1) for y in (-step, 0, step)]
         columns = [(column + x).clamp(0, width - 1) for x in (-step, 0, step)]
         places = [y * width + x for y in rows for x in columns]
         around = torch.stack([pixels[place] for place in places])  # (9, pixels, 5)
         colours, candidates = around[..., :3], around[..., 3].contiguous()
-        own, before = colours[4], candidates[4]
-        unlike = (colours - own).square().sum(-1)
-        votes = torch.exp(unlike / (-2 * COLOUR**2)) * around[..., 4]
-        votes[4] *= OWN_VOTE
-        best, least = before, torch.full_like(before, torch.inf)
-        for one in candidates:
-            cost = (candidates - one).abs_().clamp_(max=OUTLIER).mul_(votes).sum(0)
-            best = torch.where(cost < least, one, best)
-            least = torch.minimum(cost, least)
-        refined[places[4]] = torch.where((best - before).abs() > SAME, best, before)
+        own_colour, own = colours[4], candidates[4]
+        distance = (colours - own_colour).square().sum(-1)
+        votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[..., 4]
+        votes[4] *= OWN_WEIGHT
+        best, lowest_cost = own, torch.full_like(own, torch.inf)
+        for candidate in candidates:
+            difference = (candidates - candidate).abs_().clamp_(max=VOTE_LIMIT_PX)
+            cost = difference.mul_(votes).sum(0)
+            best = torch.where(cost < lowest_cost, candidate, best)
+            lowest_cost = torch.minimum(cost, lowest_cost)
+        refined[places[4]] = torch.where((best - own).abs() > SAME_SURFACE_PX, best, own)
     return refined.view_as(disparity)
 
 
-_CACHED = 1 << 15
-"""Pixels whose neighbours stay in the processor's cache."""
+def _edge_pixels(disparity: Tensor, step: int) -> Tensor:
+    """Image, row and column of each pixel near an edge, (N, 3)."""
+    return torch.nonzero(_range_of_neighbours(disparity, step) > EDGE_STEP_PX)
 
 
-def _relief(disparity: Tensor, step: int) -> Tensor:
-    """By how much each pixel's 3 x 3 neighbours differ."""
-    most = least = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate").squeeze(1)
+def _range_of_neighbours(disparity: Tensor, step: int) -> Tensor:
+    """Largest minus smallest disparity of each pixel's 3 x 3 neighbours."""
+    largest = smallest = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate").squeeze(1)
     for dim in (-2, -1):
         length = disparity.shape[dim]
         high, low = (
-            [m.narrow(dim, at, length) for at in (0, step, 2 * step)] for m in (most, least)
+            [m.narrow(dim, at, length) for at in (0, step, 2 * step)] for m in (largest, smallest)
         )
-        most = torch.maximum(torch.maximum(high[0], high[1]), high[2])
-        least = torch.minimum(torch.minimum(low[0], low[1]), low[2])
-    return most - least
+        largest = torch.maximum(torch.maximum(high[0], high[1]), high[2])
+        smallest = torch.minimum(torch.minimum(low[0], low[1]), low[2])
+    return largest - smallest

@@ -1,13 +1,14 @@
-"""What matching a pair gives."""
+"""Matching result: disparity, confidence, depth, point cloud, files."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.checks import Finding
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,
@@ -24,12 +26,46 @@ from mobilestereonet.inference.geometry import (
 )
 from mobilestereonet.plots import colour_disparity, side_by_side
 
-_LARGEST_IN_PNG = 65535 / KITTI_SCALE
+MAX_PNG_DISPARITY_PX = 65535 / KITTI_SCALE
+"""Largest disparity that a 16-bit PNG holds."""
+
+_MAX_NOTEBOOK_WIDTH = 1280
+"""Pixels; a wider picture of a result is scaled down where a notebook shows it."""
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """How a result was computed, and how long it took.
+
+    Attributes:
+        model: Name of the model.
+        engine: Name of the engine that ran it.
+        precision: Precision that it computed in, such as ``fp32`` or ``bf16``.
+        device: Device that it ran on, such as ``cpu``.
+        refined: Whether the disparity was refined, see `mobilestereonet.inference.refine`.
+        width: Width of the views in px.
+        height: Height of the views in px.
+        seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.
+    """
+
+    model: str
+    engine: str
+    precision: str
+    device: str
+    refined: bool
+    width: int
+    height: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"{self.model} on {self.engine} {self.precision}, {self.width}x{self.height}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoResult:
-    """Disparity of the left view, and what belongs to it.
+    """Disparity of a pair's left view, with its confidence, checks and derived forms.
+
+    A notebook shows it as a picture.
 
     Attributes:
         left: Left view, (H, W, 3) uint8 RGB.
@@ -41,9 +77,8 @@ class StereoResult:
             left pixel (x + disparity, y); None where it was not asked for.
         occluded: (H, W) bool, True where the left-right check fails: the right camera does not see
             the pixel, or the match is wrong; None without ``right_disparity``.
-        facts: What was run and how long it took: ``model``, ``runtime``, ``precision``,
-            ``refined``, ``width``, ``height``, ``seconds`` (from the checked pair to the disparity;
-            a pair's share of its batch).
+        findings: What the quick checks say about the pair, see `quick_checks`.
+        info: Model, engine, precision and time; None for a result that was read from files.
     """
 
     left: Picture
@@ -52,18 +87,27 @@ class StereoResult:
     confidence: FloatMap | None = None
     right_disparity: FloatMap | None = None
     occluded: Mask | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    info: RunInfo | None = None
 
     def __repr__(self) -> str:
         height, width = self.disparity.shape
         known = self.disparity[self.valid]
         span = f"disparity {known.min():.1f} to {known.max():.1f} px" if known.size else "no match"
-        facts = [
-            str(self.facts[name])
-            for name in ("model", "runtime", "precision")
-            if name in self.facts
-        ]
-        return f"StereoResult({', '.join([f'{width}x{height}', span, *facts])})"
+        parts = [f"{width}x{height}", span]
+        if self.info is not None:
+            parts += [self.info.model, self.info.engine, self.info.precision]
+        return f"StereoResult({', '.join(parts)})"
+
+    def _repr_png_(self) -> bytes:
+        """The picture as PNG, at most `_MAX_NOTEBOOK_WIDTH` wide: what notebooks show."""
+        picture = self.picture()
+        height, width = picture.shape[:2]
+        if width > _MAX_NOTEBOOK_WIDTH:
+            size = (_MAX_NOTEBOOK_WIDTH, max(round(height * _MAX_NOTEBOOK_WIDTH / width), 1))
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        _, png = cv2.imencode(".png", picture[..., ::-1])
+        return png.tobytes()
 
     def depth(self, calibration: Calibration) -> FloatMap:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
@@ -161,4 +205,4 @@ class StereoResult:
 
 
 def _write_storable(path: Path, disparity: FloatMap) -> None:
-    write_disparity_png(path, disparity, disparity <= _LARGEST_IN_PNG)
+    write_disparity_png(path, disparity, disparity <= MAX_PNG_DISPARITY_PX)

@@ -1,4 +1,4 @@
-"""Pairs that do not fit into memory: overlapping tiles, blended.
+"""Tiled matching of large pairs: overlapping tiles, blended.
 
 A tile is one window cut out of both views. Left pixels find their partners up to the maximum
 disparity further left, so the leftmost columns of a tile that begins inside of the image lack
@@ -17,21 +17,21 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError
 
-CONTEXT = 160
-"""Margin of a tile, in px, that is matched but not used.
+CONTEXT_PX = 160
+"""Margin of a tile that is matched but not used.
 
 ``benchmarks/tiling.py`` measures what a border changes, by the distance from it. With the embedded
 msnet2d nothing changes 160 px and more away (on the left: 160 px and the maximum disparity), but
 for single pixels whose two best matches are equally likely.
 """
 
-BLEND = 64
-"""Width of the band beyond ``CONTEXT`` in which one tile fades into the next, in px."""
+BLEND_PX = 64
+"""Width of the band beyond ``CONTEXT_PX`` in which one tile fades into the next."""
 
-WHOLE_PIXELS = 1920 * 1088
-"""Pairs of up to so many pixels, Full HD, are matched in one piece unless told otherwise."""
+MAX_UNTILED_PIXELS = 1920 * 1088
+"""Pixels of the largest pair (Full HD) that is matched in one piece by default."""
 
-TILE = (1088, 1920)
+TILE_SIZE = (1088, 1920)
 """Height and width of a larger pair's tiles, in px: they need what Full HD needs in one piece."""
 
 
@@ -63,14 +63,14 @@ def match_in_tiles(
         InputError: If the tiles are too small for their margins.
     """
     height, width = left.shape[-2:]
-    margin = CONTEXT + math.ceil(max_disparity / multiple) * multiple
-    rows = _spans(height, tile[0], CONTEXT, multiple, "height")
+    margin = CONTEXT_PX + math.ceil(max_disparity / multiple) * multiple
+    rows = _spans(height, tile[0], CONTEXT_PX, multiple, "height")
     columns = _spans(width, tile[1], margin, multiple, "width")
     above = rows[-1][1] - height
     total: Tensor | None = None
     weights = left.new_zeros(height, width, dtype=torch.float32)
     for top, bottom in rows:
-        row_weights = _weights(top, bottom, rows[-1][1], CONTEXT)[max(above - top, 0) :]
+        row_weights = _weights(top, bottom, rows[-1][1], CONTEXT_PX)[max(above - top, 0) :]
         vertical = slice(max(top - above, 0), bottom - above)
         for start, end in columns:
             horizontal = slice(start, min(end, width))
@@ -87,11 +87,11 @@ def match_in_tiles(
 
 
 def _spans(length: int, tile: int, margin: int, multiple: int, name: str) -> list[tuple[int, int]]:
-    """Spans of one size that cover ``length``, padded, with margins where they overlap."""
+    """Start and end of tiles of one size that cover ``length``, padded, and overlap by margins."""
     length, tile = math.ceil(length / multiple) * multiple, tile // multiple * multiple
     if length <= tile:
         return [(0, length)]
-    overlap = math.ceil((margin + CONTEXT + BLEND) / multiple) * multiple
+    overlap = math.ceil((margin + CONTEXT_PX + BLEND_PX) / multiple) * multiple
     if tile <= overlap:
         raise InputError(
             f"tiles of {name} {tile} are too small: the margins need {overlap} px; take at least "
@@ -104,9 +104,11 @@ def _spans(length: int, tile: int, margin: int, multiple: int, name: str) -> lis
 
 
 def _weights(start: int, end: int, length: int, margin: int) -> Tensor:
-    """Weights of a span: smoothly from 0 to 1 beyond each margin, 1 up to the image's border."""
+    """Weights of a tile's rows or columns: 0 in the margins, then smoothly up to 1."""
     place = torch.arange(end - start) + 0.5
-    before = (place - margin) / BLEND if start > 0 else torch.ones_like(place)
-    after = (end - start - place - CONTEXT) / BLEND if end < length else torch.ones_like(place)
+    before = (place - margin) / BLEND_PX if start > 0 else torch.ones_like(place)
+    after = (
+        (end - start - place - CONTEXT_PX) / BLEND_PX if end < length else torch.ones_like(place)
+    )
     ramp = torch.minimum(before, after).clamp(0, 1)
     return ramp * ramp * (3 - 2 * ramp)

@@ -134,11 +134,7 @@ def _write_json(path: Path, record: dict[str, Any]) -> None:
 def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
     """Score the exported weights."""
     matcher = StereoMatcher.from_pretrained(
-        refine=False,
-        weights=run / "weights.safetensors",
-        runtime="torch",
-        device=device,
-        precision="fp32",
+        run / "weights.safetensors", device=device, refine=False
     )
     max_disparity = model_config(recipe.model, **recipe.net).max_disparity
     result = evaluate(

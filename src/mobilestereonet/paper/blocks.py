@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from mobilestereonet.atomic import write_atomically
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.nets.blocks import Block
 
 EXPANSIONS = range(1, 9)
@@ -64,6 +62,9 @@ def plot_expansion(path: str | Path) -> None:
         InputError: If no such format is known.
         OSError: If the file cannot be written.
     """
+    with needs_extra("plots"):
+        from matplotlib.figure import Figure
+
     path = Path(path)
     figure = Figure(figsize=(6, 4), layout="constrained")
     formats = figure.canvas.get_supported_filetypes()

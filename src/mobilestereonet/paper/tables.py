@@ -16,7 +16,7 @@ from typing import Any, Literal
 import torch
 
 from mobilestereonet.costs.count import Cost, count_costs
-from mobilestereonet.nets import build_model, model_config
+from mobilestereonet.nets import build_model, list_models
 
 What = Literal["macs", "params"]
 
@@ -26,7 +26,7 @@ class Cell:
     """A computed cell of one of the paper's tables.
 
     Attributes:
-        table: "Table 3a", "Table 3b", "Appendix 2D", "Appendix 3D", "Modules" or "Finals".
+        table: "Table 3a", "Table 3b", "Appendix 2D", "Appendix 3D", "Modules", "Finals" or "Peers".
         row: Name of the model, where it has one, or the paper's words.
         what: "macs", in 1e9 (G), or "params", in 1e6 (M).
         ours: Our count.
@@ -102,7 +102,7 @@ def _printed() -> dict[str, Any]:
 
 @functools.cache
 def _costs(model: str, **overrides: Any) -> dict[str, Cost]:
-    return count_costs(model_config(model, **overrides), height=256, width=512)
+    return count_costs(model, height=256, width=512, **overrides)
 
 
 def _cells(table: str, row: str, cost: Cost, macs: float, params: float) -> tuple[Cell, Cell]:
@@ -136,7 +136,7 @@ def _cost_volumes() -> PaperTable:
 def _modules() -> PaperTable:
     def encoder_decoder(model: str, **overrides: Any) -> Cost:
         costs = _costs(model, **overrides)
-        return costs["pre-hourglass"] + costs["hourglasses"]
+        return costs["pre_hourglass"] + costs["hourglasses"]
 
     features = _costs("baseline3d")["features"], _costs("msnet3d")["features"]
     decoder2d = encoder_decoder("baseline2d", hourglasses=3), encoder_decoder("msnet2d")
@@ -177,8 +177,26 @@ def _finals() -> PaperTable:
     return PaperTable("Finals", "errors on SceneFlow, and on KITTI 2015 (validation)", tuple(rows))
 
 
+def _own_name(printed: str) -> str | None:
+    """Registered name of a network that the paper compares itself with, if there is one."""
+    names = {name.replace("-", ""): name for name in list_models()}
+    finals = {"2D-MobileStereoNet": "msnet2d", "3D-MobileStereoNet": "msnet3d"}
+    return finals.get(printed) or names.get(printed.replace("-", "").lower())
+
+
+def _peers() -> PaperTable:
+    rows = []
+    for line in _printed()["peers_3d_sceneflow"]:
+        model, name = line["model"], _own_name(line["model"])
+        cells: tuple[Cell, ...] = ()
+        if name:
+            cells = _cells("Peers", model, _costs(name)["total"], line["macs"], line["params"])
+        rows.append(Row(model, {"EPE": line["epe"]}, cells))
+    return PaperTable("Peers", "3D networks of others, errors on SceneFlow", tuple(rows))
+
+
 def paper_tables() -> list[PaperTable]:
-    """Tables 2, 3a and 3b, both appendix ablations, the module table and the finals.
+    """Tables 2, 3a and 3b, both appendix ablations, the module table, the finals and the peers.
 
     Takes some seconds: about thirty networks are counted.
     """
@@ -193,6 +211,7 @@ def paper_tables() -> list[PaperTable]:
         _ablation("Appendix 3D", f"3D networks {by_further}", "table_appendix_3d_further", further),
         _modules(),
         _finals(),
+        _peers(),
     ]
 
 
@@ -218,8 +237,8 @@ def checkpoint_megabytes(model: str) -> float:
 
 def model_sizes() -> list[ModelSize]:
     """The paper's table of model sizes."""
-    ours = {"2D-MobileStereoNet": "msnet2d", "3D-MobileStereoNet": "msnet3d"}
-    return [
-        ModelSize(model, checkpoint_megabytes(ours[model]) if model in ours else None, printed)
-        for model, printed in _printed()["model_size_mb"].items()
-    ]
+    sizes = []
+    for model, printed in _printed()["model_size_mb"].items():
+        name = _own_name(model)
+        sizes.append(ModelSize(model, checkpoint_megabytes(name) if name else None, printed))
+    return sizes

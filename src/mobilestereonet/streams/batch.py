@@ -1,4 +1,4 @@
-"""Pairs of images, one after the other."""
+"""Matching of many pairs; reading, matching and writing overlap."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.matcher import StereoMatcher
-from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.streams.maps import MapFiles
-from mobilestereonet.streams.overlap import ahead
-from mobilestereonet.streams.pairs import Pair, read_pairs
+from mobilestereonet.streams.overlap import prefetch
+from mobilestereonet.streams.pairs import PairFiles, read_pairs
 from mobilestereonet.streams.stream import StereoFrame
 
-Matched: TypeAlias = tuple[StereoFrame, StereoResult | None]
-"""A frame and its result; None, with the frame's ``problem``, where there is none."""
+FrameResult: TypeAlias = tuple[StereoFrame, StereoResult | None]
+"""A frame and its result, which is None where the frame has a ``problem``."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a pair.
+class PairStatus:
+    """Status of a pair after matching.
 
     Attributes:
-        name: Its name.
+        name: Name of the pair.
         problem: Why it has no map; empty if all went well.
     """
 
@@ -32,64 +31,63 @@ class Outcome:
 
 
 def match_pairs(
-    pairs: Iterable[Pair], matcher: StereoMatcher, files: MapFiles
-) -> Iterator[Outcome]:
+    pairs: Iterable[PairFiles], matcher: StereoMatcher, files: MapFiles
+) -> Iterator[PairStatus]:
     """Match pairs and write their maps; reading, matching and writing overlap.
 
     Args:
-        pairs: Where their views lie.
-        matcher: What matches them.
-        files: Where their maps go.
+        pairs: Files of their views.
+        matcher: The matcher.
+        files: Files of their maps.
 
     Yields:
-        What became of each pair, once its files are written. A pair that cannot be read or
+        The status of each pair, once its files are written. A pair that cannot be read or
         matched does not stop the others, nor does one whose calibration is of another size.
 
     Raises:
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    frames: Iterable[StereoFrame] = ahead(read_pairs(pairs))
+    frames: Iterable[StereoFrame] = prefetch(read_pairs(pairs))
     if files.needs_calibration:
-        frames = _of_their_calibration(frames)
-    for frame, result in ahead(matched(frames, matcher)):
+        frames = _check_calibrations(frames)
+    for frame, result in prefetch(match_frames(frames, matcher)):
         if result is not None:
             files.save(frame.name, result, frame.calibration)
-        yield Outcome(frame.name, frame.problem)
+        yield PairStatus(frame.name, frame.problem)
 
 
-def _of_their_calibration(frames: Iterable[StereoFrame]) -> Iterator[StereoFrame]:
-    """The frames; a calibration of another size is their problem."""
+def _check_calibrations(frames: Iterable[StereoFrame]) -> Iterator[StereoFrame]:
+    """Give the frames on; a calibration of another size becomes their problem."""
     for frame in frames:
         try:
-            if frame.views is not None and frame.calibration is not None:
-                height, width = frame.views[0].shape[-2:]
-                frame.calibration.require_size(width, height)
+            if frame.pair is not None and frame.calibration is not None:
+                frame.calibration.require_size(frame.pair.width, frame.pair.height)
             yield frame
         except InputError as error:
-            yield replace(frame, views=None, problem=str(error))
+            yield replace(frame, pair=None, problem=str(error))
 
 
-def matched(
+def match_frames(
     frames: Iterable[StereoFrame], matcher: StereoMatcher, finished: MapFiles | None = None
-) -> Iterator[Matched]:
+) -> Iterator[FrameResult]:
     """Match the frames that could be read.
 
     Args:
         frames: The frames.
-        matcher: What matches them.
+        matcher: The matcher.
         finished: Maps of an earlier run: frames whose disparity is there are not matched again.
 
     Yields:
         Each frame, also those without a result.
     """
     for frame in frames:
-        if frame.views is None:
+        if frame.pair is None:
             yield frame, None
         elif finished is not None and finished.matched(frame.name):
-            yield frame, finished.load(frame.name, frame.views[0])
+            yield frame, finished.load(frame.name, frame.pair)
         else:
             try:
-                yield frame, matcher(*frame.views)
+                yield frame, matcher.match(frame.pair)
             except InputError as error:
-                yield replace(frame, views=None, problem=str(error)), None
+                yield replace(frame, pair=None, problem=str(error)), None

@@ -1,4 +1,4 @@
-"""Cameras and addresses, as OpenCV opens them."""
+"""Live captures: cameras and network addresses that OpenCV opens."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams.overlap import newest
+from mobilestereonet.streams.overlap import latest_only
 from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 
@@ -31,7 +31,7 @@ def _is_number(source: str) -> bool:
 def open_captures(sources: Sequence[str]) -> Stream:
     """Open a stereo camera, or two cameras.
 
-    A live capture does not wait: if matching is slower, frames are passed over. What is read from
+    A live capture does not wait: if matching is slower, frames are dropped. What is read from
     a file (``file://...``) waits.
 
     Args:
@@ -45,7 +45,7 @@ def open_captures(sources: Sequence[str]) -> Stream:
     captures = [_open(source) for source in sources]
     check_sizes(sources, [_size(capture) for capture in captures])
     frames = _frames(sources, captures, live)
-    return Stream(newest(frames) if live else frames, None, live)
+    return Stream(latest_only(frames) if live else frames, None, live)
 
 
 def _open(source: str) -> Any:

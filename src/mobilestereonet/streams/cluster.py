@@ -1,4 +1,4 @@
-"""Pairs shared out over the machines of a Ray cluster."""
+"""Matching of many pairs on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 import cv2
 
-from mobilestereonet.errors import InputError
-from mobilestereonet.inference.matcher import StereoMatcher
-from mobilestereonet.streams.batch import Outcome, match_pairs
+from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.maps import MapFiles
-from mobilestereonet.streams.pairs import Pair
+from mobilestereonet.streams.pairs import PairFiles
 
 PAIRS_PER_TASK = 8
-"""What a worker is given at a time: few, so that the workers end together."""
+"""Pairs that a worker gets at a time: few, so that the workers end together."""
 
 
 class _Worker:
@@ -23,7 +23,7 @@ class _Worker:
 
     def __init__(
         self,
-        pairs: Sequence[Pair],
+        pairs: Sequence[PairFiles],
         files: MapFiles,
         make_matcher: Callable[[], StereoMatcher],
         cpus: int,
@@ -36,16 +36,16 @@ class _Worker:
         pairs = [self.pairs[index] for index in rows["item"]]
         # A task whose worker died is given to another one, which finds what is finished.
         todo = self.files.unfinished(pairs)
-        outcomes = [Outcome(pair.name) for pair in pairs if pair not in todo]
-        outcomes += match_pairs(todo, self.matcher, self.files)
+        statuses = [PairStatus(pair.name) for pair in pairs if pair not in todo]
+        statuses += match_pairs(todo, self.matcher, self.files)
         return {
-            "name": [outcome.name for outcome in outcomes],
-            "problem": [outcome.problem for outcome in outcomes],
+            "name": [status.name for status in statuses],
+            "problem": [status.problem for status in statuses],
         }
 
 
 def match_on_ray(
-    pairs: Sequence[Pair],
+    pairs: Sequence[PairFiles],
     files: MapFiles,
     make_matcher: Callable[[], StereoMatcher],
     *,
@@ -53,7 +53,7 @@ def match_on_ray(
     workers: int = 2,
     cpus: int = 1,
     gpus: float = 0,
-) -> Iterator[Outcome]:
+) -> Iterator[PairStatus]:
     """Match pairs on a Ray cluster and write their maps.
 
     What is finished is never matched again: neither what an earlier run left, nor what a worker
@@ -61,8 +61,8 @@ def match_on_ray(
     the output in folders of the same names.
 
     Args:
-        pairs: Where their views lie.
-        files: Where their maps go.
+        pairs: Files of their views.
+        files: Files of their maps.
         make_matcher: Makes a worker's matcher.
         address: The cluster's; "local" starts one on this machine for the time being.
         workers: How many processes.
@@ -70,17 +70,15 @@ def match_on_ray(
         gpus: GPUs of each.
 
     Yields:
-        What became of each pair, in any order.
+        The status of each pair, in any order.
 
     Raises:
         InputError: If Ray is not installed, the cluster cannot be reached, or a worker fails in
             another way than by dying, such as on weights that its machine does not have.
     """
-    try:
+    with needs_extra("ray"):
         import ray
         import ray.data
-    except ImportError as error:
-        raise InputError('Ray is not installed: pip install "mobilestereonet[ray]"') from error
     todo = files.unfinished(pairs)
     if not todo:
         return
@@ -93,8 +91,8 @@ def match_on_ray(
         logging.getLogger("ray.data").setLevel(logging.ERROR)
         ray.data.DataContext.get_current().enable_progress_bars = False
         tasks = -(-len(todo) // PAIRS_PER_TASK)
-        outcomes = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
-        outcomes = outcomes.map_batches(
+        statuses = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
+        statuses = statuses.map_batches(
             _Worker,
             fn_constructor_args=(todo, files, make_matcher, cpus),
             batch_size=None,
@@ -102,8 +100,8 @@ def match_on_ray(
             num_cpus=cpus,
             num_gpus=gpus,
         )
-        for row in outcomes.iter_rows():
-            yield Outcome(row["name"], row["problem"])
+        for row in statuses.iter_rows():
+            yield PairStatus(row["name"], row["problem"])
     except ray.exceptions.RayError as error:
         # What Ray tells ends with the line that the worker's own error had.
         raise InputError(f"a worker failed: {str(error).strip().splitlines()[-1]}") from error

@@ -1,4 +1,4 @@
-"""The maps of many pairs as files."""
+"""Map files of many pairs: their names, and writing and reading them."""
 
 from __future__ import annotations
 
@@ -7,22 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from torch import Tensor
 
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import (
-    KITTI_SCALE,
     read_disparity_png,
     write_disparity_png,
 )
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
-from mobilestereonet.data.images import FloatMap, to_picture
+from mobilestereonet.data.images import FloatMap
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.result import StereoResult
-from mobilestereonet.streams.pairs import Pair
-
-_LARGEST_IN_PNG = 65535 / KITTI_SCALE
+from mobilestereonet.inference import StereoPair, StereoResult
+from mobilestereonet.inference.result import MAX_PNG_DISPARITY_PX
+from mobilestereonet.streams.pairs import PairFiles
 
 
 def _known(result: StereoResult) -> FloatMap:
@@ -31,7 +28,7 @@ def _known(result: StereoResult) -> FloatMap:
 
 def _write_disparity(path: Path, result: StereoResult) -> None:
     write_disparity_png(
-        path, result.disparity, result.valid & (result.disparity <= _LARGEST_IN_PNG)
+        path, result.disparity, result.valid & (result.disparity <= MAX_PNG_DISPARITY_PX)
     )
 
 
@@ -48,7 +45,7 @@ MAP_KINDS = (*_WRITERS, "depth.png", "depth.npy", "depth.tiff")
 
 @dataclass(frozen=True)
 class MapFiles:
-    """Where the maps of each pair go: ``FOLDER/NAME_disparity.png`` and so on.
+    """Files of each pair's maps: ``FOLDER/NAME_disparity.png`` and so on.
 
     Args:
         folder: Folder to write to.
@@ -80,11 +77,11 @@ class MapFiles:
         return all(self.path(name, kind).is_file() for kind in self.kinds)
 
     def matched(self, name: str) -> bool:
-        """Whether a pair's disparities are there: the others are made of the PNG, to 1/256 px."""
+        """Whether a pair has its disparities; other maps can be made of the PNG, to 1/256 px."""
         kinds = [kind for kind in self.kinds if kind.startswith("disparity")]
         return all(self.path(name, kind).is_file() for kind in ("disparity.png", *kinds))
 
-    def unfinished(self, pairs: Sequence[Pair]) -> list[Pair]:
+    def unfinished(self, pairs: Sequence[PairFiles]) -> list[PairFiles]:
         """The pairs that lack a file."""
         return [pair for pair in pairs if not self.finished(pair.name)]
 
@@ -100,7 +97,7 @@ class MapFiles:
 
         Args:
             name: The pair's name.
-            result: What matching it gave.
+            result: Its result.
             calibration: Its geometry; depth needs it.
             keep: Leave the files that are there as they are.
 
@@ -121,17 +118,22 @@ class MapFiles:
             else:
                 write_depth(path, result.depth(calibration))
 
-    def load(self, name: str, left: Tensor) -> StereoResult:
-        """What was saved, for the left view (3, H, W) that it belongs to.
+    def load(self, name: str, pair: StereoPair) -> StereoResult:
+        """Read a saved result.
+
+        Args:
+            name: The pair's name.
+            pair: The pair that it belongs to.
 
         Raises:
             InputError: If the saved disparity is damaged or of another size.
         """
         path = self.path(name, "disparity.png")
         disparity, valid = read_disparity_png(path)
-        if disparity.shape != left.shape[-2:]:
+        size = (pair.height, pair.width)
+        if disparity.shape != size:
             raise InputError(
-                f"{path}: shape is {disparity.shape}, but the left view's is "
-                f"{tuple(left.shape[-2:])}: it is of another stream; choose another folder"
+                f"{path}: shape is {disparity.shape}, but the left view's is {size}: it is of "
+                "another stream; choose another folder"
             )
-        return StereoResult(left=to_picture(left), disparity=disparity, valid=valid)
+        return StereoResult(left=pair.left_image, disparity=disparity, valid=valid)

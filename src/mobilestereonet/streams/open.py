@@ -1,4 +1,4 @@
-"""From what a user names to a stream."""
+"""Opening of streams: videos, cameras and image sequences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps that overlap: a thread makes the next items while the caller uses this one."""
+"""Overlapping work: a thread makes the next items while the caller uses this one."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ T = TypeVar("T")
 _END = object()
 
 
-def ahead(items: Iterable[T], count: int = 2) -> Generator[T]:
-    """The same items in the same order, up to ``count`` of them made ahead in one thread.
+def prefetch(items: Iterable[T], count: int = 2) -> Generator[T]:
+    """Prefetch items: the same ones in the same order, up to ``count`` made ahead in a thread.
 
     Args:
-        items: What makes the items; an error of its own comes out here.
-        count: How many may wait.
+        items: Their source; an error of its own is raised here.
+        count: Number of items that may wait.
     """
     iterator = iter(items)
     worker = ThreadPoolExecutor(1)
@@ -35,11 +35,11 @@ def ahead(items: Iterable[T], count: int = 2) -> Generator[T]:
             iterator.close()
 
 
-def newest(items: Generator[T]) -> Generator[T]:
-    """The newest item whenever one is asked for: a live camera does not wait.
+def latest_only(items: Generator[T]) -> Generator[T]:
+    """Give the latest item whenever one is asked for, and drop earlier ones, as cameras need it.
 
     Args:
-        items: What makes the items; an error of its own comes out here, and so does the last one.
+        items: Their source; an error of its own is raised here. Its last item is always given.
     """
     latest: Queue[T | object] = Queue(1)
     stop = Event()

@@ -1,4 +1,4 @@
-"""Pairs of images in folders."""
+"""Pairs of image files in folders: finding and reading them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners import PairFolder
 from mobilestereonet.data.scanners.base import Frame
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.prepare import load_pair
+from mobilestereonet.inference.pair import load_pair
 from mobilestereonet.streams.stream import StereoFrame
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
@@ -20,13 +20,13 @@ _WILDCARD = re.compile(r"[*?[]")
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Where a pair's views lie.
+class PairFiles:
+    """Files of a pair.
 
     Attributes:
-        name: What to call it in reports and file names; may hold slashes.
-        left: Left view.
-        right: Right view.
+        name: What to call the pair in reports and file names; may hold slashes.
+        left: File of the left view.
+        right: File of the right view.
         calibration: Its geometry, if the folders tell it.
     """
 
@@ -36,7 +36,7 @@ class Pair:
     calibration: Calibration | None = None
 
 
-def find_pairs(left: str | Path, right: str | Path | None = None) -> list[Pair]:
+def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFiles]:
     """Find the pairs of two folders, or of a data set in the layout of KITTI's odometry.
 
     Args:
@@ -72,7 +72,9 @@ def find_pairs(left: str | Path, right: str | Path | None = None) -> list[Pair]:
                 f"{other.left} and {frame.left} would both be called {frame.name}, and so would "
                 "their maps: give a pattern that holds one of them, such as '*.png'"
             )
-    return [Pair(name, named[name].left, named[name].right) for name in sorted(named, key=_natural)]
+    return [
+        PairFiles(name, named[name].left, named[name].right) for name in sorted(named, key=_natural)
+    ]
 
 
 class _PairFolders(PairFolder):
@@ -87,7 +89,7 @@ class _PairFolders(PairFolder):
         return replace(frame, right=self.right_root / frame.right.relative_to(self.root))
 
 
-def _kitti_odometry(root: Path) -> list[Pair]:
+def _kitti_odometry(root: Path) -> list[PairFiles]:
     sequences = root / "sequences"
     cameras = next((c for c in ((2, 3), (0, 1)) if any(sequences.glob(f"*/image_{c[0]}"))), None)
     if cameras is None:
@@ -103,12 +105,12 @@ def _kitti_odometry(root: Path) -> list[Pair]:
     for pair in find_pairs(left, right):
         sequence, _, frame = pair.name.split("/")
         calibration = calibrations.get(sequence)
-        pairs.append(Pair(f"{sequence}/{frame}", pair.left, pair.right, calibration))
+        pairs.append(PairFiles(f"{sequence}/{frame}", pair.left, pair.right, calibration))
     return pairs
 
 
 def _pattern(source: str | Path) -> tuple[Path, str]:
-    """What a folder or a pattern names: a folder that exists, and a pattern below it."""
+    """Resolve a folder or a pattern to an existing folder and a pattern below it."""
     path = Path(source).resolve()
     if path.is_file():
         raise InputError(
@@ -133,17 +135,17 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def read_pairs(pairs: Iterable[Pair], fps: float = 1.0) -> Generator[StereoFrame]:
-    """Read pairs, one after the other; what cannot be read is told, not raised.
+def read_pairs(pairs: Iterable[PairFiles], fps: float = 1.0) -> Generator[StereoFrame]:
+    """Read pairs one after the other; what cannot be read becomes a frame with a problem.
 
     Args:
-        pairs: Where they lie.
-        fps: How many are shown per second.
+        pairs: Their files.
+        fps: Pairs per second of the stream.
     """
-    for index, pair in enumerate(pairs):
-        views, problem = None, ""
+    for index, files in enumerate(pairs):
+        pair, problem = None, ""
         try:
-            views = load_pair(pair.left, pair.right)
+            pair = load_pair(files.left, files.right)
         except (InputError, OSError) as error:
             problem = str(error)
-        yield StereoFrame(index, pair.name, index / fps, views, problem, pair.calibration)
+        yield StereoFrame(index, files.name, index / fps, pair, problem, files.calibration)

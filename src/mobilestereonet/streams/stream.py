@@ -1,4 +1,4 @@
-"""What every source gives: stereo frames, one after the other."""
+"""`Stream` and `StereoFrame`: what every source of frames gives."""
 
 from __future__ import annotations
 
@@ -6,31 +6,30 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from torch import Tensor
 
 from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.prepare import load_pair
+from mobilestereonet.inference.pair import StereoPair, load_pair
 
 
 @dataclass(frozen=True)
 class StereoFrame:
-    """One moment of a stream.
+    """One stereo frame of a stream.
 
     Attributes:
-        index: Its number, from 0. A gap is a frame that a live capture passed over.
+        index: Its number, from 0. A gap is a frame that a live capture dropped.
         name: What to call it in reports and file names; may hold slashes.
-        seconds: When it is shown.
-        views: Left and right view, each (3, H, W) float32 in 0..1; None if they cannot be read.
-        problem: Why not; empty if they can.
+        seconds: Time at which it is shown, in s.
+        pair: Both views; None if they cannot be read.
+        problem: Why they cannot; empty if they can.
         calibration: Geometry of the pair, if the source knows it.
     """
 
     index: int
     name: str
     seconds: float
-    views: tuple[Tensor, Tensor] | None
+    pair: StereoPair | None
     problem: str = ""
     calibration: Calibration | None = None
 
@@ -51,27 +50,27 @@ class Stream:
 
 
 def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:
-    """A frame of the pictures that one or two cameras took at a moment.
+    """Make a frame of the pictures that one or two cameras took at a moment.
 
     One that cannot be used has a ``problem`` and stops nothing.
 
     Args:
         index: Its number.
-        seconds: When it is shown.
+        seconds: Time at which it is shown, in s.
         pictures: Both views, (H, W, 3) uint8 RGB, or one picture with both side by side; None
             where it cannot be read.
     """
     whole = [picture for picture in pictures if picture is not None]
-    views, problem = None, ""
+    pair, problem = None, ""
     if len(whole) < len(pictures):
         problem = "the picture is damaged"
     else:
         try:
             left, right = whole if len(whole) == 2 else np.array_split(whole[0], 2, axis=1)
-            views = load_pair(left, right)
+            pair = load_pair(left, right)
         except InputError as error:  # the source changed its size on the way
             problem = str(error)
-    return StereoFrame(index, f"{index:06d}", seconds, views, problem)
+    return StereoFrame(index, f"{index:06d}", seconds, pair, problem)
 
 
 def check_sizes(names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:

@@ -1,4 +1,4 @@
-"""A stream in, a video of colours and the maps of its frames out."""
+"""Matching of a stream: a video of coloured disparities, and the maps of its frames."""
 
 from __future__ import annotations
 
@@ -16,39 +16,38 @@ import numpy as np
 from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.matcher import StereoMatcher
-from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.plots import colour_disparity, side_by_side
-from mobilestereonet.streams.batch import Matched, matched
+from mobilestereonet.streams.batch import FrameResult, match_frames
 from mobilestereonet.streams.maps import MapFiles
-from mobilestereonet.streams.overlap import ahead
+from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.stream import StereoFrame, Stream
 from mobilestereonet.streams.video_files import write_video
 
 
 @dataclass
-class Tally:
-    """How many frames of a stream met which fate.
+class VideoStats:
+    """Frame counts of a stream by what became of the frames.
 
     Attributes:
-        matched: Were matched, or had been before.
-        broken: Could not be read or matched, and were skipped.
-        passed_over: Came from a camera while another one was being matched.
+        matched: Frames that were matched, now or by an earlier run.
+        broken: Frames that could not be read or matched, and were skipped.
+        dropped: Frames that a live camera took while another one was being matched.
     """
 
     matched: int = 0
     broken: int = 0
-    passed_over: int = 0
+    dropped: int = 0
 
 
-class SteadyRange:
-    """The disparity of the last colour, which follows the scene slowly, so that nothing flickers.
+class SmoothedRange:
+    """Colour range that follows the scene slowly, so that a video does not flicker.
 
-    It is the 99th percentile, averaged over about the last second.
+    Its end is the 99th percentile of the disparity, averaged over about the last second.
     """
 
     def __init__(self, memory: float = 1.0) -> None:
-        """Begin with what comes first.
+        """Start without a range.
 
         Args:
             memory: Seconds after which a frame's weight has sunk to 1/e.
@@ -58,10 +57,10 @@ class SteadyRange:
         self.seconds = 0.0
 
     def update(self, seconds: float, result: StereoResult) -> float:
-        """Take in a frame.
+        """Update the range by a frame.
 
         Args:
-            seconds: When it is shown; not before the one before.
+            seconds: Time at which it is shown, in s; never decreases.
             result: Its disparity.
 
         Returns:
@@ -88,20 +87,20 @@ def match_video(
     calibration: Calibration | None = None,
     stop: Event | None = None,
     report: Callable[[StereoFrame], None] = lambda frame: None,
-) -> Tally:
+) -> VideoStats:
     """Match a stream; reading, matching and writing overlap.
 
     Args:
         stream: The frames.
-        matcher: What matches them.
-        video: Video of the disparity's colours to write; it is there once it is complete.
-        frames: Where each frame's maps go, if they are wanted.
+        matcher: The matcher.
+        video: Video of the disparity's colours to write; it appears once it is complete.
+        frames: Files of each frame's maps, if they are wanted.
         resume: Take the maps that are in ``frames`` already for those of this stream and matcher;
             match the other frames only, and make what is missing of the matched ones' maps.
         beside: The video has the left view beside the colours.
         calibration: Geometry of the stream, for depth.
         stop: Ends the stream early once it is set; the video is then a shorter one.
-        report: Called for each frame that is done, also the broken ones: these have a ``problem``.
+        report: Called for each finished frame; broken ones have a ``problem``.
 
     Raises:
         InputError: If no frame could be matched, the calibration is of another size, or the stream
@@ -110,29 +109,29 @@ def match_video(
     """
     if resume and (frames is None or "disparity.png" not in frames.kinds or stream.live):
         raise InputError("to resume takes the frames' disparities as files, and no live camera")
-    tally = Tally()
+    stats = VideoStats()
     problem = "there is none"
 
-    def finished(results: Iterable[Matched]) -> Iterator[tuple[float, StereoResult]]:
+    def finished(results: Iterable[FrameResult]) -> Iterator[tuple[float, StereoResult]]:
         nonlocal problem
         for frame, result in results:
-            tally.passed_over += frame.index - tally.matched - tally.broken - tally.passed_over
+            stats.dropped += frame.index - stats.matched - stats.broken - stats.dropped
             if result is None:
                 problem = frame.problem
-                tally.broken += 1
+                stats.broken += 1
             else:
                 if frames is not None:
                     before = resume and frames.matched(frame.name)
                     frames.save(frame.name, result, calibration, keep=before)
-                tally.matched += 1
+                stats.matched += 1
                 yield frame.seconds, result
             report(frame)
             if stop is not None and stop.is_set():
                 return
 
     # What a live camera shows now is to be matched, not what was read ahead.
-    source = stream.frames if stream.live else ahead(stream.frames)
-    results = ahead(matched(source, matcher, frames if resume else None))
+    source = stream.frames if stream.live else prefetch(stream.frames)
+    results = prefetch(match_frames(source, matcher, frames if resume else None))
     with closing(source), closing(results):
         shown = finished(results if video is None else _one_size(results))
         # Nothing is made for a stream that gives nothing.
@@ -144,11 +143,11 @@ def match_video(
             deque(shown, maxlen=0)
         else:
             write_video(video, _pictures(shown, beside))
-    return tally
+    return stats
 
 
-def _one_size(results: Iterable[Matched]) -> Iterator[Matched]:
-    """The results, but for those that do not fit into the first one's video."""
+def _one_size(results: Iterable[FrameResult]) -> Iterator[FrameResult]:
+    """Replace results of another size than the first one's, which fit into no video, by None."""
     size: tuple[int, ...] | None = None
     for frame, result in results:
         size = size or (result.disparity.shape if result is not None else None)
@@ -162,7 +161,7 @@ def _one_size(results: Iterable[Matched]) -> Iterator[Matched]:
 def _pictures(
     results: Iterable[tuple[float, StereoResult]], beside: bool
 ) -> Iterator[tuple[float, Picture]]:
-    colours = SteadyRange()
+    colours = SmoothedRange()
     for seconds, result in results:
         maximum = colours.update(seconds, result)
         picture = colour_disparity(result.disparity, maximum, result.valid)

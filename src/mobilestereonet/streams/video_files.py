@@ -1,4 +1,4 @@
-"""Video files: read frame by frame with the broken ones told, and written."""
+"""Video files: reading frame by frame, with broken frames reported, and writing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import cv2
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov")
@@ -23,23 +23,18 @@ _CLOCK = 90_000
 
 
 def _pyav() -> Any:
-    try:
+    with needs_extra("video", "image sequences and cameras are matched to --frames without it"):
         import av
-    except ImportError as error:
-        raise InputError(
-            'video files need PyAV: pip install "mobilestereonet[video]"; image sequences and '
-            "cameras are matched to --frames without it"
-        ) from error
     return av
 
 
 class VideoFile:
-    """The pictures of a video file.
+    """Video file as a sequence of pictures.
 
     Attributes:
         path: The file.
         size: Width and height in px.
-        stamps: When its frames are shown, in ticks, in order.
+        stamps: Times at which its frames are shown, in ticks, in order.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -83,11 +78,11 @@ class VideoFile:
             )
 
     def seconds(self, stamp: int) -> float:
-        """When a frame is shown, from the first one on."""
+        """Time of a frame in s, from the first one on."""
         return float((stamp - self.stamps[0]) * self.tick)
 
     def __iter__(self) -> Iterator[tuple[float, Picture | None]]:
-        """When each frame is shown, and its picture, (H, W, 3) uint8 RGB; None if it is damaged."""
+        """Iterate over time in s and picture, (H, W, 3) uint8 RGB, which is None if damaged."""
         # Frames come out later than they go in, and in another order. The time stamps tell which
         # ones never come.
         due = deque(self.stamps)
@@ -136,7 +131,7 @@ def _frames(videos: Sequence[VideoFile]) -> Generator[StereoFrame]:
 
 
 def check_video_file(path: str | Path) -> Path:
-    """The path, if a video can be written in the format that its ending names.
+    """Check that a video can be written in the format that a path's ending names.
 
     Raises:
         InputError: If it can't, or PyAV is not installed.

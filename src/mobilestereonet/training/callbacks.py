@@ -7,20 +7,22 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-import lightning as L
 import torch
-from lightning.pytorch.callbacks import (
-    Callback,
-    Checkpoint,
-    Timer,
-    TQDMProgressBar,
-    WeightAveraging,
-)
-from lightning.pytorch.plugins.io import TorchCheckpointIO
-from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
+
+with needs_extra("train"):
+    import lightning as L
+    from lightning.pytorch.callbacks import (
+        Callback,
+        Checkpoint,
+        Timer,
+        TQDMProgressBar,
+        WeightAveraging,
+    )
+    from lightning.pytorch.plugins.io import TorchCheckpointIO
+    from lightning.pytorch.utilities import rank_zero_info
 
 
 class AtomicCheckpoints(TorchCheckpointIO):

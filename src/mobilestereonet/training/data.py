@@ -7,18 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import lightning as L
 import torch
 from torch.utils.data import DataLoader, Dataset, Subset
 
 from mobilestereonet.data import open_data_set
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.data.scanners.base import StereoDataSet
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.scenes import ProceduralScenes
 from mobilestereonet.scenes.textures import find_photographs
 from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
 from mobilestereonet.training.recipe import Recipe
+
+with needs_extra("train"):
+    import lightning as L
 
 _VALIDATION_SEED = 1_000_003
 """Added to the scenes' seed: validation scenes are never trained on."""

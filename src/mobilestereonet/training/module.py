@@ -8,11 +8,8 @@ from collections import deque
 from statistics import median
 from typing import Any, cast
 
-import lightning as L
 import torch
 import torch.distributed as dist
-from lightning.pytorch.loggers import TensorBoardLogger
-from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 from torch.nn.utils import (
     convert_conv2d_weight_memory_format,
@@ -22,7 +19,7 @@ from torch.nn.utils import (
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
 from mobilestereonet.nets.operations import pad, unpad
@@ -32,6 +29,11 @@ from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.objective import Objective, Part
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
+
+with needs_extra("train"):
+    import lightning as L
+    from lightning.pytorch.loggers import TensorBoardLogger
+    from lightning.pytorch.utilities import rank_zero_info
 
 _OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
@@ -101,7 +103,8 @@ class StereoModule(L.LightningModule):
 
     def on_fit_start(self) -> None:
         """Make the accelerated form, once the network is on its device."""
-        self._accelerated = (accelerate(self.net, "training").train(),)
+        fast = accelerate(self.net, "training")
+        self._accelerated = (fast.train(),)
 
     def on_fit_end(self) -> None:
         """Let the accelerated form go."""

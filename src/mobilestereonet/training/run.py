@@ -14,16 +14,11 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-import lightning as L
 import torch
-from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import Callback
-from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-from lightning.pytorch.utilities import rank_zero_info
 
 from mobilestereonet.atomic import make_folder, write_atomically
-from mobilestereonet.errors import InputError
-from mobilestereonet.interruption import ctrl_c_sets
+from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.interruption import sigint_sets_event
 from mobilestereonet.nets import is_model, model_config, model_name
 from mobilestereonet.settings import differences
 from mobilestereonet.training.callbacks import (
@@ -38,6 +33,13 @@ from mobilestereonet.training.data import RunData
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.weights import load_model, save_weights
+
+with needs_extra("train"):
+    import lightning as L
+    from lightning.fabric.utilities.exceptions import MisconfigurationException
+    from lightning.pytorch.callbacks import Callback
+    from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+    from lightning.pytorch.utilities import rank_zero_info
 
 _STOPPING = "Stopping after this step; Ctrl-C again stops at once"
 
@@ -135,7 +137,7 @@ def train(
                 f"Learning rate scaled by the global batch: {recipe.lr:g} x {global_batch} / "
                 f"{recipe.lr_batch} = {module.lr:g}"
             )
-        with ctrl_c_sets(stop, partial(rank_zero_info, _STOPPING)):
+        with sigint_sets_event(stop, partial(rank_zero_info, _STOPPING)):
             trainer.fit(module, data, ckpt_path=last if resume else None, weights_only=True)
     if average is not None:
         # Lightning does it as well, but not where a resumed run had no step left.

@@ -1,4 +1,4 @@
-"""From a session's pair to everything that the page shows of it."""
+"""Matching of a session's pair, and everything that the page shows of it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,24 @@ import numpy as np
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import KITTI_SCALE
 from mobilestereonet.data.files import write_png
-from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference import StereoMatcher, StereoResult, check_pair, load_pair
+from mobilestereonet.inference import (
+    StereoMatcher,
+    StereoPair,
+    StereoResult,
+    check_pair,
+    load_pair,
+)
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.plots import colour_disparity
 from mobilestereonet.web.sessions import Session
 
-FAR = 3.0
-"""Points beyond so many median depths are left out unless told otherwise: the far ones, whose
+MAX_DEPTH_RATIO = 3.0
+"""Depth, as a multiple of the median, beyond which points are left out by default: far ones, whose
 depth is poor, would make the rest look tiny."""
 
-SHOWN = 400_000
+MAX_SHOWN_POINTS = 400_000
 """Points that a browser turns smoothly; the PLY has all of them."""
 
 CLOUD = "stereo_points.glb"
@@ -35,7 +40,7 @@ CLOUD = "stereo_points.glb"
 
 @dataclass(frozen=True)
 class Geometry:
-    """What the visitor filled in; None where nothing is.
+    """Geometry that the visitor filled in; None where a field is empty.
 
     Attributes:
         focal: Focal length in px.
@@ -68,16 +73,16 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the page shows.
+    """Files and texts that the page shows.
 
     Attributes:
-        left: The left view.
-        disparity: The coloured disparity, as large.
-        confidence: The confidence, white is sure; None where the engine tells none.
-        files: What can be downloaded.
-        readings: What the page needs to tell the depth at a place (`readout.js` reads it).
-        facts: What was run, and how long it took.
-        notes: What the visitor should know about the pair.
+        left: Picture of the left view.
+        disparity: Picture of the coloured disparity, of the same size.
+        confidence: Picture of the confidence, white is 1; None where the engine has none.
+        files: Files to download.
+        readings: Data from which `readout.js` reads the depth at a place.
+        summary: Model, engine, precision, size and times.
+        notes: Warnings about the pair.
     """
 
     left: Path
@@ -85,7 +90,7 @@ class Answer:
     confidence: Path | None
     files: list[Path]
     readings: dict[str, Any]
-    facts: str
+    summary: str
     notes: list[str]
 
 
@@ -94,8 +99,8 @@ def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answ
 
     Args:
         session: Has a ``left`` and a ``right`` picture; gets an ``answer``, in place of a former.
-        matcher: What matches them.
-        geometry: What makes metres of the disparity.
+        matcher: The matcher.
+        geometry: Calibration and limits of the points.
 
     Raises:
         InputError: If a picture is missing or damaged, the sizes differ, or the calibration is
@@ -103,10 +108,9 @@ def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answ
     """
     calibration = geometry.calibration()
     pair = _load(session)
-    views = to_picture(pair[0]), to_picture(pair[1])
-    result = matcher(*pair)
+    result = matcher.match(pair)
     started = time.perf_counter()
-    findings = check_pair(*views, max_disparity=matcher.runtime.max_disparity)
+    findings = check_pair(pair.left_image, pair.right_image, matcher.engine.max_disparity)
     notes = [str(finding) for finding in findings if finding.level in ("warning", "problem")]
     with session.replace("answer") as folder:
         files = result.save(folder, "stereo")
@@ -126,20 +130,22 @@ def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answ
                 _thinned(points).save(files["cloud"])
             else:
                 notes.append("points: none is as near and as sure as asked for")
-        facts = "{model} on {runtime} ({precision}), {width} x {height} px".format(**result.facts)
-        matched, after = result.facts["seconds"], time.perf_counter() - started
+        assert result.info is not None  # the matcher's results have one
+        matched, after = result.info.seconds, time.perf_counter() - started
         return Answer(
             left=left,
             disparity=disparity,
             confidence=files.get("confidence"),
             files=list(files.values()),
             readings=_readings(result, calibration),
-            facts=f"{facts}: matched in {matched:.2f} s, checked and written in {after:.2f} s",
+            summary=(
+                f"{result.info}: matched in {matched:.2f} s, checked and written in {after:.2f} s"
+            ),
             notes=notes,
         )
 
 
-def _load(session: Session) -> tuple[Any, Any]:
+def _load(session: Session) -> StereoPair:
     left, right = session.file("left"), session.file("right")
     if left is None or right is None:
         side = "right" if left else "left"
@@ -157,13 +163,13 @@ def _points(result: StereoResult, calibration: Calibration, geometry: Geometry) 
     median = float(np.median(depth[depth > 0])) if depth.any() else 0.0
     return result.points(
         calibration,
-        max_depth=geometry.max_depth or FAR * median,
+        max_depth=geometry.max_depth or MAX_DEPTH_RATIO * median,
         min_confidence=0.0 if result.confidence is None else geometry.min_confidence,
     )
 
 
 def _thinned(cloud: PointCloud) -> PointCloud:
-    step = -(-len(cloud.points) // SHOWN)
+    step = -(-len(cloud.points) // MAX_SHOWN_POINTS)
     return PointCloud(cloud.points[::step], cloud.colours[::step])
 
 
@@ -171,8 +177,9 @@ def _readings(result: StereoResult, calibration: Calibration | None) -> dict[str
     """Disparity and confidence in a PNG that a browser unpacks: no round trip per movement."""
     levels = np.rint(np.where(result.valid, result.disparity, 0) * KITTI_SCALE)
     high, low = np.divmod(np.where(levels <= 65535, levels, 0), 256)
-    sure = np.zeros_like(low) if result.confidence is None else np.rint(255 * result.confidence)
-    _, png = cv2.imencode(".png", np.stack((sure, low, high), axis=-1).astype(np.uint8))
+    confidence = 0 if result.confidence is None else np.rint(255 * result.confidence)
+    channels = np.broadcast_arrays(confidence, low, high)
+    _, png = cv2.imencode(".png", np.stack(channels, axis=-1).astype(np.uint8))
     return {
         "levels": "data:image/png;base64," + base64.b64encode(png.tobytes()).decode(),
         "scale": KITTI_SCALE,

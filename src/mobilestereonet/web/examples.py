@@ -1,4 +1,4 @@
-"""Pairs for visitors who have none."""
+"""Example pairs: a real one and rendered ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SCENES = {"Street": 0, "Table": 5, "Park": 9}
 
 
 def examples() -> list[StereoSample]:
-    """A real pair and rendered ones, each with its calibration and a name to show."""
+    """Make the examples, each with its calibration and a name to show."""
     scenes = ProceduralScenes(_RENDERED)
     return [
         replace(motorcycle(), name="Motorcycle"),

@@ -1,4 +1,4 @@
-"""The page: what is where, and what happens on which click."""
+"""The page: its layout and event handlers."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.web.answer import CLOUD, FAR, Geometry, answer
-from mobilestereonet.web.sessions import OLDEST, Sessions
-from mobilestereonet.web.uploads import Limits, admit
+from mobilestereonet.web.answer import CLOUD, MAX_DEPTH_RATIO, Geometry, answer
+from mobilestereonet.web.sessions import MAX_IDLE_SECONDS, Sessions
+from mobilestereonet.web.uploads import UploadLimits, admit
 
 _ABOUT = """# Depth from two pictures
 Two pictures of one scene, taken side by side (a **rectified stereo pair**), become a disparity
@@ -29,27 +29,27 @@ map, a depth in metres for every pixel, and a 3D point cloud. Take an example, o
 
 
 @dataclass(frozen=True)
-class Offer:
-    """What the page offers.
+class PageConfig:
+    """Models, engines, examples and limits of the page.
 
     Attributes:
-        models: Networks, and sgbm; the first is the default.
-        runtimes: Engines; the first is the default.
-        matcher: Makes a matcher of two of their names.
+        models: Names of the models; the first is the default.
+        engines: Names of the engines; the first is the default.
+        matcher: Makes a matcher of a model's and an engine's name.
         examples: Pairs with calibration.
-        limits: What is too much.
+        limits: Limits of uploads and visitors.
     """
 
     models: list[str]
-    runtimes: list[str]
+    engines: list[str]
     matcher: Callable[[str, str], StereoMatcher]
     examples: list[StereoSample]
-    limits: Limits
+    limits: UploadLimits
 
 
 @contextmanager
 def clear_errors() -> Iterator[None]:
-    """Bad input becomes one line on the page."""
+    """Context in which an `InputError` becomes one line on the page."""
     try:
         yield
     except InputError as error:
@@ -59,33 +59,33 @@ def clear_errors() -> Iterator[None]:
 
 
 class Handlers:
-    """What happens on the visitor's clicks; all files are those of his session."""
+    """Event handlers of the page; files belong to the visitor's session."""
 
-    def __init__(self, offer: Offer, uploads: Path) -> None:
+    def __init__(self, config: PageConfig, uploads: Path) -> None:
         """Make the sessions' folder.
 
         Args:
-            offer: What the page offers.
-            uploads: Where gradio puts uploads; `Sessions` lie below.
+            config: Models, engines, examples and limits.
+            uploads: Folder into which gradio puts uploads; `Sessions` lie below.
         """
-        self.offer = offer
+        self.config = config
         self.uploads = uploads
         self.sessions = Sessions(uploads / "sessions")
-        self._matcher = lru_cache(maxsize=4)(offer.matcher)
+        self._matcher = lru_cache(maxsize=4)(config.matcher)
 
-    def taking(self, side: str) -> Callable[..., str]:
-        """What takes an upload into the session, and gives its new path."""
+    def upload_handler(self, side: str) -> Callable[..., str]:
+        """Handler that takes an upload into the session, and gives its new path."""
 
         def take(upload: dict[str, Any] | None, request: gr.Request) -> str:
             with clear_errors():
                 path = Path((upload or {}).get("path") or "")
                 session = self.sessions[request.session_hash]
-                return str(admit(path, self.uploads, session, side, self.offer.limits))
+                return str(admit(path, self.uploads, session, side, self.config.limits))
 
         return take
 
-    def dropping(self, side: str) -> Callable[..., None]:
-        """What deletes a picture."""
+    def clear_handler(self, side: str) -> Callable[..., None]:
+        """Handler that deletes a picture."""
 
         def drop(request: gr.Request) -> None:
             self.sessions[request.session_hash].drop(side)
@@ -93,8 +93,8 @@ class Handlers:
         return drop
 
     def take_example(self, choice: gr.SelectData, request: gr.Request) -> list[Any]:
-        """Both pictures of an example, and its calibration."""
-        sample = self.offer.examples[choice.index]
+        """Copy an example into the session; gives its pictures' paths and its calibration."""
+        sample = self.config.examples[choice.index]
         paths = []
         with clear_errors():
             session = self.sessions[request.session_hash]
@@ -109,7 +109,7 @@ class Handlers:
     def match(
         self,
         model: str,
-        runtime: str,
+        engine: str,
         focal: float | None,
         baseline: float | None,
         doffs: float | None,
@@ -118,16 +118,16 @@ class Handlers:
         request: gr.Request,
         progress: gr.Progress = gr.Progress(),  # noqa: B008 (gradio finds it by its default)
     ) -> list[Any]:
-        """Match the session's pictures; gives the values of what shows results."""
+        """Match the session's pictures; gives the values of the result components."""
         with clear_errors():
             geometry = Geometry(focal, baseline, doffs, max_depth, min_confidence)
             progress(0.1, desc=f"Loading {model}")
-            matcher = self._matcher(model, runtime)
+            matcher = self._matcher(model, engine)
             progress(0.3, desc="Matching")
             found = answer(self.sessions[request.session_hash], matcher, geometry)
         notes = "".join(f"\n- {html.escape(note)}" for note in found.notes)
         return [
-            found.facts + ("\n\n**Mind:**\n" + notes if notes else ""),
+            found.summary + ("\n\n**Mind:**\n" + notes if notes else ""),
             (str(found.left), str(found.disparity)),
             found.readings,
             found.confidence and str(found.confidence),
@@ -142,36 +142,40 @@ class Handlers:
         return str(path) if path else None
 
     def leave(self, request: gr.Request) -> None:
-        """The visitor has closed the page."""
+        """Close the session of a visitor who has left the page."""
         self.sessions.close(request.session_hash)
 
 
-def build_page(act: Handlers) -> gr.Blocks:
+def build_page(handlers: Handlers) -> gr.Blocks:
     """Lay out the page.
 
     Args:
-        act: What happens on it, and what it offers.
+        handlers: Event handlers, which hold the configuration.
 
     Returns:
         The page, to be launched with `page_style`.
     """
-    offer = act.offer
+    config = handlers.config
     with gr.Blocks(
-        title="Depth from two pictures", analytics_enabled=False, delete_cache=(60, OLDEST)
+        title="Depth from two pictures",
+        analytics_enabled=False,
+        delete_cache=(60, MAX_IDLE_SECONDS),
     ) as page:
         gr.Markdown(_ABOUT, elem_id="about")
         with gr.Row():
             with gr.Column(scale=2, min_width=320):
-                left, right, gallery = _pair_inputs(offer)
-                geometry, engine = _settings(offer)
+                left, right, gallery = _pair_inputs(config)
+                geometry, engine = _settings(config)
                 button = gr.Button("Match", variant="primary", elem_id="match")
             with gr.Column(scale=3, min_width=320):
                 results, points = _results()
         for side, image in (("left", left), ("right", right)):
             _refuse_addresses(image)
-            event = image.upload(act.taking(side), image, image, preprocess=False, **_QUIET)
+            event = image.upload(
+                handlers.upload_handler(side), image, image, preprocess=False, **_QUIET
+            )
             event.failure(lambda: None, None, image, **_QUIET)
-            image.clear(act.dropping(side), **_QUIET)
+            image.clear(handlers.clear_handler(side), **_QUIET)
         inputs = [*engine, *geometry]
         matching: dict[str, Any] = {
             "api_visibility": "private",
@@ -181,14 +185,16 @@ def build_page(act: Handlers) -> gr.Blocks:
             "concurrency_id": "match",
             "concurrency_limit": 1,
         }
-        button.click(act.match, inputs, results, **matching)
-        example = gallery.select(act.take_example, None, [left, right, *geometry[:3]], **_QUIET)
-        example.success(act.match, inputs, results, **matching)
+        button.click(handlers.match, inputs, results, **matching)
+        example = gallery.select(
+            handlers.take_example, None, [left, right, *geometry[:3]], **_QUIET
+        )
+        example.success(handlers.match, inputs, results, **matching)
         # Not before its tab is open: a viewer that has a model when it is mounted stays empty (seen
         # in gradio 6.31). Nobody who does not look at the points waits for them, either.
-        points.select(act.cloud, None, results[4], api_visibility="private")
-        page.unload(act.leave)
-    page.queue(max_size=offer.limits.waiting, default_concurrency_limit=1, api_open=False)
+        points.select(handlers.cloud, None, results[4], api_visibility="private")
+        page.unload(handlers.leave)
+    page.queue(max_size=config.limits.waiting, default_concurrency_limit=1, api_open=False)
     return page
 
 
@@ -214,8 +220,8 @@ def _refuse_addresses(image: Any) -> None:
     image.async_move_resource_to_block_cache = move_local
 
 
-def _pair_inputs(offer: Offer) -> tuple[Any, Any, Any]:
-    size = f"PNG, JPEG, WebP or BMP; up to {offer.limits.pixels / 1e6:.1f} megapixels"
+def _pair_inputs(config: PageConfig) -> tuple[Any, Any, Any]:
+    size = f"PNG, JPEG, WebP or BMP; up to {config.limits.pixels / 1e6:.1f} megapixels"
     gr.Markdown(f"### 1. The pair\n{size}, both of one size.")
     with gr.Row():
         left, right = (
@@ -233,9 +239,9 @@ def _pair_inputs(offer: Offer) -> tuple[Any, Any, Any]:
         )
     gr.Markdown("Or click an example (a photograph, then rendered scenes):")
     gallery = gr.Gallery(
-        [(to_picture(sample.left), sample.name) for sample in offer.examples],
+        [(to_picture(sample.left), sample.name) for sample in config.examples],
         show_label=False,
-        columns=len(offer.examples),
+        columns=len(config.examples),
         height=120,
         allow_preview=False,
         object_fit="cover",
@@ -246,7 +252,7 @@ def _pair_inputs(offer: Offer) -> tuple[Any, Any, Any]:
     return left, right, gallery
 
 
-def _settings(offer: Offer) -> tuple[list[Any], list[Any]]:
+def _settings(config: PageConfig) -> tuple[list[Any], list[Any]]:
     gr.Markdown(
         "### 2. The cameras\nFrom your calibration, for pictures of this size; doffs is the "
         "principal points' difference, mostly 0. Without focal length and baseline there is a "
@@ -259,20 +265,20 @@ def _settings(offer: Offer) -> tuple[list[Any], list[Any]]:
     with gr.Accordion("More settings", open=False):
         with gr.Row():
             model = gr.Dropdown(
-                offer.models, label="Network", info="sgbm: not a network", min_width=140
+                config.models, label="Network", info="sgbm: not a network", min_width=140
             )
-            runtime = gr.Dropdown(
-                offer.runtimes, label="Engine", info="auto: the fastest known", min_width=140
+            engine = gr.Dropdown(
+                config.engines, label="Engine", info="msnet bench times them", min_width=140
             )
         with gr.Row():
             max_depth = gr.Number(
                 0,
                 label="Farthest point, m",
-                info=f"0: {FAR:.0f} times the median depth",
+                info=f"0: {MAX_DEPTH_RATIO:.0f} times the median depth",
                 min_width=140,
             )
             confidence = gr.Slider(0, 1, 0.5, step=0.05, label="Min. confidence", min_width=140)
-    return [focal, baseline, doffs, max_depth, confidence], [model, runtime]
+    return [focal, baseline, doffs, max_depth, confidence], [model, engine]
 
 
 def _results() -> tuple[list[Any], Any]:
@@ -310,7 +316,7 @@ def _results() -> tuple[list[Any], Any]:
 
 
 def page_style() -> dict[str, Any]:
-    """How the page looks, as arguments of ``launch``: with fonts of the system's own."""
+    """Arguments of ``launch`` that style the page, with the system's own fonts."""
     fonts = ["system-ui", "sans-serif"], ["ui-monospace", "monospace"]
     return {
         "theme": gr.themes.Default(font=fonts[0], font_mono=fonts[1]),

@@ -1,4 +1,4 @@
-"""The page's server: loopback, one folder that goes at the end, nothing from other servers."""
+"""Server of the page: loopback, one folder deleted at the end, nothing from other servers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.responses import PlainTextResponse
 
-from mobilestereonet.web.page import Handlers, Offer, build_page, page_style
+from mobilestereonet.web.page import Handlers, PageConfig, build_page, page_style
 
 # What the page needs of gradio's API, files by their path (on Windows, after a drive's letter).
 # The rest fetches web addresses, edits videos, keeps states.
@@ -30,10 +30,10 @@ _POLICY = (
 
 
 class Guard:
-    """Middleware that leaves out of gradio what the page has no use for."""
+    """Middleware that blocks the parts of gradio that the page does not use."""
 
     def __init__(self, app: Any) -> None:
-        """Stand before ``app``."""
+        """Wrap an ASGI application."""
         self._app = app
 
     async def __call__(
@@ -56,11 +56,13 @@ class Guard:
 
 
 @contextmanager
-def running(offer: Offer, *, host: str = "127.0.0.1", port: int | None = None) -> Iterator[str]:
+def running(
+    config: PageConfig, *, host: str = "127.0.0.1", port: int | None = None
+) -> Iterator[str]:
     """Serve the page as long as the context lasts.
 
     Args:
-        offer: What the page offers.
+        config: Models, engines, examples and limits of the page.
         host: Address to listen at.
         port: Port; by default the first free one from 7860 on.
 
@@ -73,13 +75,13 @@ def running(offer: Offer, *, host: str = "127.0.0.1", port: int | None = None) -
     before = os.environ.get("GRADIO_TEMP_DIR")
     with TemporaryDirectory(prefix="msnet-web-") as folder:
         os.environ["GRADIO_TEMP_DIR"] = folder
-        act = Handlers(offer, Path(folder))
-        page = build_page(act)
+        handlers = Handlers(config, Path(folder))
+        page = build_page(handlers)
         try:
             _, address, _ = page.launch(
                 server_name=host,
                 server_port=port,
-                max_file_size=f"{offer.limits.megabytes}mb",
+                max_file_size=f"{config.limits.megabytes}mb",
                 prevent_thread_lock=True,
                 quiet=True,
                 share=False,
@@ -92,7 +94,7 @@ def running(offer: Offer, *, host: str = "127.0.0.1", port: int | None = None) -
             )
             yield address
         finally:
-            act.sessions.close_all()
+            handlers.sessions.close_all()
             page.close(verbose=False)
             if before is None:
                 del os.environ["GRADIO_TEMP_DIR"]

@@ -1,4 +1,4 @@
-"""A visitor's files: in one folder, which goes when the visitor does."""
+"""Sessions: each visitor's files in one folder, deleted when the visitor leaves."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from threading import Lock, RLock
 
 from mobilestereonet.errors import InputError
 
-OLDEST = 3600
-"""Seconds after which any file goes, whether its page is open or not."""
+MAX_IDLE_SECONDS = 3600
+"""Seconds after which any file is deleted, whether its page is open or not."""
 
-MOST = 50
-"""Sessions that are open at once; one more, and the one idle longest is closed."""
+MAX_SESSIONS = 50
+"""Sessions that are open at once; for one more, the one idle longest is closed."""
 
 
 class Session:
-    """One visitor's folder. Its name can't be guessed, which matters: names give access."""
+    """Folder of one visitor. Its name can't be guessed, which matters: names give access."""
 
     def __init__(self, root: Path) -> None:
         """Make the folder, below ``root``."""
@@ -76,19 +76,21 @@ class Session:
 
 
 class Sessions:
-    """The sessions that are open, by what the browser calls itself."""
+    """Open sessions by the name that the browser gives."""
 
-    def __init__(self, root: Path, *, oldest: float = OLDEST, most: int = MOST) -> None:
+    def __init__(
+        self, root: Path, *, max_idle: float = MAX_IDLE_SECONDS, max_sessions: int = MAX_SESSIONS
+    ) -> None:
         """Keep them below ``root``.
 
         Args:
             root: Folder of their folders.
-            oldest: Seconds after which an idle one is closed, when any is asked for.
-            most: How many are open at once.
+            max_idle: Seconds after which an idle one is closed, when any is asked for.
+            max_sessions: Number of sessions that are open at once.
         """
         self.root = root
-        self.oldest = oldest
-        self.most = most
+        self.max_idle = max_idle
+        self.max_sessions = max_sessions
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._open: dict[str, Session] = {}  # the one idle longest comes first
         self._ended = False
@@ -107,11 +109,11 @@ class Sessions:
                 raise InputError("the server is being ended")
             session = self._open.pop(name, None) or Session(self.root)
             session.used = time.monotonic()
-            surplus = len(self._open) + 1 - self.most
+            surplus = len(self._open) + 1 - self.max_sessions
             idle = [
                 other
                 for place, (other, its) in enumerate(self._open.items())
-                if place < surplus or session.used - its.used > self.oldest
+                if place < surplus or session.used - its.used > self.max_idle
             ]
             self._open[name] = session
         for other in idle:

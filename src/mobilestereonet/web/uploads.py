@@ -1,4 +1,4 @@
-"""What comes from outside: looked at before it is decoded."""
+"""Uploads: checked before they are decoded, and copied into a session."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.tiling import WHOLE_PIXELS
+from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS
 from mobilestereonet.web.sessions import Session
 
 SUFFIXES = {"PNG": ".png", "JPEG": ".jpg", "MPO": ".jpg", "WEBP": ".webp", "BMP": ".bmp"}
@@ -17,8 +17,8 @@ SUFFIXES = {"PNG": ".png", "JPEG": ".jpg", "MPO": ".jpg", "WEBP": ".webp", "BMP"
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a visitor may ask of the server.
+class UploadLimits:
+    """Limits of what a visitor may ask of the server.
 
     Attributes:
         megabytes: Largest upload.
@@ -27,7 +27,7 @@ class Limits:
     """
 
     megabytes: int = 20
-    pixels: int = WHOLE_PIXELS
+    pixels: int = MAX_UNTILED_PIXELS
     waiting: int = 8
 
     def __post_init__(self) -> None:
@@ -36,7 +36,7 @@ class Limits:
                 raise InputError(f"limits: {name} must be at least 1, got {getattr(self, name)}")
 
 
-def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Limits) -> Path:
+def admit(upload: Path, uploads: Path, session: Session, side: str, limits: UploadLimits) -> Path:
     """Copy an uploaded picture into a session, or delete it. It is not decoded yet.
 
     A good upload stays until gradio deletes it: gradio names uploads by their content, so that
@@ -47,7 +47,7 @@ def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Limi
         uploads: Folder of all uploads, and of the sessions' files.
         session: The visitor's session.
         side: ``left`` or ``right``.
-        limits: What is too large.
+        limits: Largest size that is taken.
 
     Returns:
         The file in the session, with a name of ours.
@@ -70,8 +70,8 @@ def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Limi
         return Path(shutil.copyfile(upload, folder / f"{side}{suffix}"))
 
 
-def _check_picture(path: Path, side: str, limits: Limits) -> str:
-    """Suffix of a picture's format, told from the first bytes, as its size is."""
+def _check_picture(path: Path, side: str, limits: UploadLimits) -> str:
+    """Check size and format by the first bytes; returns the suffix of the format."""
     if path.stat().st_size > limits.megabytes * 2**20:
         raise InputError(f"{side} picture: the file has more than {limits.megabytes} MB")
     try:
@@ -86,7 +86,7 @@ def _check_picture(path: Path, side: str, limits: Limits) -> str:
     return SUFFIXES[str(kind)]
 
 
-def _too_large(limits: Limits) -> str:
+def _too_large(limits: UploadLimits) -> str:
     return (
         f"more than {limits.pixels / 1e6:.1f} megapixels: make both pictures smaller (and the "
         "focal length with them)"

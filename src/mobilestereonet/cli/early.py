@@ -1,0 +1,103 @@
+"""Checks of a command's values that need no heavy import, so that mistakes are told at once."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+from mobilestereonet.errors import InputError
+
+ENGINES = ("torch", "onnxruntime", "openvino")
+"""Names of the engines that run a network; a test compares them with `engines.choose`."""
+
+PRECISIONS = ("auto", "fp32", "bf16", "fp16")
+
+_DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
+"""Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
+
+_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar")
+
+_FILES = ("left", "right", "calib", "calib_left")
+"""Parameters that name files to read."""
+
+_FOLDERS = ("root", "textures")
+"""Parameters that name folders to read."""
+
+
+class EarlyCheck(TyperCommand):
+    """Command that checks its values before it imports what it needs."""
+
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
+        """Check, then run."""
+        check_values(ctx.params)
+        return super().invoke(ctx)
+
+
+def check_values(values: Mapping[str, Any]) -> None:
+    """Check what parameters of commands have in common, by their names.
+
+    Args:
+        values: Values by the parameters' names.
+
+    Raises:
+        FileNotFoundError: If a file or folder to read does not exist.
+        InputError: If a value is none of its parameter's, or no such model is there.
+    """
+    for name in _FILES:
+        given = values.get(name)
+        for path in given if isinstance(given, list | tuple) else [given]:
+            if isinstance(path, Path) and not path.exists():
+                raise FileNotFoundError(f"{path}: no such file")
+    for name in _FOLDERS:
+        folder = values.get(name)
+        if isinstance(folder, Path) and not folder.is_dir():
+            raise FileNotFoundError(f"no folder {folder}")
+    if "runtime" in values:
+        _check_choice("--runtime", values["runtime"], ("auto", *ENGINES))
+        _check_choice("--precision", values.get("precision"), PRECISIONS)
+    device = values.get("device")
+    if device is not None and not re.fullmatch(_DEVICE, device):
+        raise InputError(f"--device {device}: write it as auto, cpu, cuda or cuda:1")
+    if "weights" in values and "model" in values:
+        models = values["model"]
+        for model in models if isinstance(models, list | tuple) else [models]:
+            _check_model(model, values["weights"])
+
+
+def _check_choice(option: str, value: str | None, choices: Sequence[str]) -> None:
+    if value is None or value in choices:
+        return
+    near = difflib.get_close_matches(value, choices, n=1)
+    hint = f"did you mean {near[0]}? There are" if near else "there are"
+    raise InputError(f"{option} {value}: {hint} {', '.join(choices)}")
+
+
+def _check_model(model: str | None, weights: object) -> None:
+    """Check the name of a network that must have weights, where it can be told without PyTorch."""
+    if model is None:
+        return
+    prefix, _, file = model.rpartition(":")
+    path = file if prefix == "onnx" else prefix  # onnx:FILE, or FILE.py:CLASS
+    if path:
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"--model {model}: there is no file {path}")
+        return
+    if Path(model).suffix in _WEIGHTS_ENDINGS and not Path(model).is_file():
+        raise FileNotFoundError(f"--model {model}: no such file")
+    if weights is not None or "/" in model or Path(model).exists():
+        return  # the weights tell, or it is one of the hub
+    versions = [path.stem for path in (Path(__file__).parents[1] / "weights").glob("*.safetensors")]
+    embedded = sorted({"sgbm", *(version.partition(".")[0] for version in versions)})
+    if model not in embedded and model not in versions:
+        near = difflib.get_close_matches(model, embedded, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(embedded)};"
+        raise InputError(
+            f"no weights of {model!r} come with the package: {hint} Networks without any, see "
+            "`msnet models`, need --weights FILE"
+        )

@@ -1,0 +1,110 @@
+"""Prediction for a batch of views of any size: preprocess, pad or tile, match, refine.
+
+Everything happens on the device of the views, which is the engine's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, TypeAlias
+
+import torch
+from torch import Tensor
+
+from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.threads import use_threads
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.refine import refine_disparity
+from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS, TILE_SIZE, match_in_tiles
+from mobilestereonet.nets.model import Prediction
+from mobilestereonet.nets.operations import pad, unpad
+
+Size: TypeAlias = tuple[int, int]
+"""Height and width in px."""
+
+Tile: TypeAlias = Size | Literal["auto"] | None
+"""Size of tiles; None for none, "auto" for `TILE_SIZE` above `MAX_UNTILED_PIXELS`."""
+
+
+def predict_disparity(
+    engine: Engine,
+    left: Tensor,
+    right: Tensor,
+    *,
+    padding: Size | None,
+    tile: Tile,
+    refine: bool,
+    confidence: bool,
+) -> Prediction:
+    """Match a batch of pairs of any size.
+
+    Args:
+        engine: The engine.
+        left: Left views, (B, 3, H, W) float32, RGB in 0..1, on the engine's device.
+        right: Right views, likewise.
+        padding: Size to which views are padded with zeros; None repeats their border up to the
+            next size that the engine takes.
+        tile: Size of the tiles.
+        refine: Refine the disparity, see `refine_disparity`; the engine must have a confidence.
+        confidence: Predict the confidence as well, where the engine has one.
+
+    Returns:
+        Disparity in px and, if asked for, confidence in 0..1, (B, H, W) float32 each, on the
+        engine's device.
+
+    Raises:
+        InputError: If the views are larger than ``padding``, or the tiles too small for their
+            margins.
+    """
+
+    def match(left: Tensor, right: Tensor) -> Tensor:
+        return _match_padded(engine, left, right, padding, confidence or refine)
+
+    height, width = left.shape[-2:]
+    if tile == "auto":
+        large = padding is None and height * width > MAX_UNTILED_PIXELS
+        tile = TILE_SIZE if large else None
+    if tile is None:
+        maps = match(left, right)
+    else:
+        maps = match_in_tiles(
+            match,
+            left,
+            right,
+            tile=tile,
+            max_disparity=engine.max_disparity,
+            multiple=engine.size_multiple,
+        )
+    disparity, *more = maps
+    if refine:
+        with use_threads(engine.threads):
+            disparity = refine_disparity(disparity, more[0], left)
+    return Prediction(disparity, more[0] if confidence and more else None)
+
+
+def _match_padded(
+    engine: Engine, left: Tensor, right: Tensor, padding: Size | None, confidence: bool
+) -> Tensor:
+    """Preprocess, pad, match, unpad: (1 or 2, B, H, W), disparity and confidence."""
+    height, width = left.shape[-2:]
+    padded = _padded_size(height, width, padding, engine)
+    left, right = (
+        pad(engine.preprocessing(view), *padded, zeros=padding is not None)
+        for view in (left, right)
+    )
+    prediction = engine(left, right, confidence)
+    maps = torch.stack([map_ for map_ in prediction if map_ is not None])
+    return unpad(maps, height, width)
+
+
+def _padded_size(height: int, width: int, padding: Size | None, engine: Engine) -> Size:
+    if padding is None:
+        multiple, least = engine.size_multiple, engine.min_side
+        height, width = (math.ceil(max(side, least) / multiple) for side in (height, width))
+        return height * multiple, width * multiple
+    if height > padding[0] or width > padding[1]:
+        raise InputError(
+            f"views of {height} x {width} (height x width) are larger than the padding to "
+            f"{padding[0]} x {padding[1]}"
+        )
+    return padding
