@@ -16,7 +16,7 @@ from mobilestereonet.accelerate.depthwise import depthwise_conv3d
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax, _soft_argmax
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import Prediction, StereoModel, build_model
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import NetConfig
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
@@ -153,7 +153,7 @@ def test_hooked_layers_stay():
 
 
 def test_subclasses_of_the_papers_network_keep_what_they_change():
-    class Biased(StereoNet):
+    class Biased(MobileStereoNet):
         def aggregate(self, volume, guidance=None):
             return [scores + self.bias for scores in super().aggregate(volume, guidance)]
 

@@ -17,7 +17,7 @@ from mobilestereonet.nets import (
 )
 from mobilestereonet.nets.coarse_pass import guidance_from_scores
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
@@ -376,7 +376,7 @@ def test_refused_inputs():
 
 def test_fresh_weights_are_drawn_as_the_authors_draw_them():
     torch.manual_seed(0)
-    net = StereoNet(NetConfig(dims=2))
+    net = MobileStereoNet(NetConfig(dims=2))
     conv = net.reduction[0][0]  # 1x1, 320 -> 256 channels
     assert conv.weight.shape == (256, FEATURE_CHANNELS, 1, 1)
     assert conv.weight.std().item() == pytest.approx(math.sqrt(2 / 256), rel=0.02)

@@ -17,13 +17,13 @@ from torch import Tensor, nn
 from mobilestereonet.accelerate.planewise import per_view
 from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
 from mobilestereonet.nets.model import VolumeModel
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 
 
-class BatchedStereoNet(StereoNet):
-    """`StereoNet` whose features take both views in one batch; it has the modules of another."""
+class BatchedMobileStereoNet(MobileStereoNet):
+    """`MobileStereoNet` whose features take both views in one batch; it has the modules of another."""
 
-    def __init__(self, net: StereoNet) -> None:
+    def __init__(self, net: MobileStereoNet) -> None:
         VolumeModel.__init__(self, net.config)
         self.size_multiple = net.size_multiple
         for name, module in net.named_children():
@@ -32,7 +32,7 @@ class BatchedStereoNet(StereoNet):
         self._guided = net._guided
 
     def cost_volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
-        """See `StereoNet.cost_volume`."""
+        """See `MobileStereoNet.cost_volume`."""
         views = self.reduction(self.features(torch.cat((left, right))))
         return cast(Tensor, self.volume(*views.chunk(2), planes))
 

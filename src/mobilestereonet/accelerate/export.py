@@ -24,7 +24,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets.coarse_pass import halve, scaled_log_probability
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel, VolumeModel
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 
 BLOCK_PLANES = 4
 """Disparities that go through the cost volume together; divides the number of every network."""
@@ -109,19 +109,19 @@ def exportable_form(
     Raises:
         InputError: See `ExportableNet`.
     """
-    if type(net) is StereoNet:
-        return ExportableStereoNet(net, rgb=rgb, scores=scores, conv3d_as_2d=conv3d_as_2d)
+    if type(net) is MobileStereoNet:
+        return ExportableMobileStereoNet(net, rgb=rgb, scores=scores, conv3d_as_2d=conv3d_as_2d)
     return ExportableNet(net, rgb=rgb, scores=scores)
 
 
-class ExportableStereoNet(ExportableNet):
+class ExportableMobileStereoNet(ExportableNet):
     """`ExportableNet` of a MobileStereoNet, traced at one size for any."""
 
     any_size = True
 
     def __init__(
         self,
-        net: StereoNet,
+        net: MobileStereoNet,
         *,
         rgb: bool = False,
         scores: bool = False,
@@ -131,7 +131,7 @@ class ExportableStereoNet(ExportableNet):
         super().__init__(net, rgb=rgb, scores=scores)
 
     def _build(self, net: StereoModel) -> None:
-        assert isinstance(net, StereoNet)
+        assert isinstance(net, MobileStereoNet)
         self.estimator = net.regression.estimator
         self.features, self.reduction = net.features, net.reduction
         self.volume = (

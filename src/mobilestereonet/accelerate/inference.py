@@ -25,7 +25,7 @@ from mobilestereonet.accelerate.planewise import (
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 
 
 def inference_form(net: StereoModel) -> StereoModel:
@@ -41,7 +41,7 @@ def inference_form(net: StereoModel) -> StereoModel:
     fold_norms(net)
     use_closed_form(net)
     if on_cpu:
-        if type(net) is StereoNet:
+        if type(net) is MobileStereoNet:
             images_one_by_one(net)
             drop_training_heads(net)
             volume_by_planes(net)
@@ -63,18 +63,18 @@ class PerImageSequential(nn.Sequential):
         return torch.cat([cast(Tensor, forward(image)) for image in images.split(1)])  # type: ignore[no-untyped-call]
 
 
-def images_one_by_one(net: StereoNet) -> None:
+def images_one_by_one(net: MobileStereoNet) -> None:
     """Extract features from one image of a batch at a time: less memory, in the same time."""
     net.add_module("features", PerImageSequential(net.features, net.reduction))
     net.reduction = nn.Identity()
 
 
-def drop_training_heads(net: StereoNet) -> None:
+def drop_training_heads(net: MobileStereoNet) -> None:
     """Replace the heads that only training calls by identities."""
     net.heads = nn.ModuleList([*(nn.Identity() for _ in net.hourglasses), net.heads[-1]])
 
 
-def volume_by_planes(net: StereoNet) -> None:
+def volume_by_planes(net: MobileStereoNet) -> None:
     """Compute the cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
     in_columns = net.config.dims == 3
     replace_modules(
@@ -89,7 +89,7 @@ def volume_by_planes(net: StereoNet) -> None:
     )
 
 
-def columns_first(net: StereoNet) -> None:
+def columns_first(net: MobileStereoNet) -> None:
     """Run a 3D encoder on the transposed volume: columns, disparities, rows.
 
     That is its order in memory. Of views wider than high the plane of a column is the smallest, so

@@ -12,7 +12,7 @@ from torch.nn.utils import (
 from mobilestereonet.accelerate.batched import (
     BatchedCorrelation,
     BatchedLearnedVolume,
-    BatchedStereoNet,
+    BatchedMobileStereoNet,
 )
 from mobilestereonet.accelerate.depthwise import fast_depthwise, has_triton
 from mobilestereonet.accelerate.modules import replace_modules, sharing_copy
@@ -20,7 +20,7 @@ from mobilestereonet.accelerate.norm_activation import fuse_activations
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel
-from mobilestereonet.nets.msnet import StereoNet
+from mobilestereonet.nets.msnet import MobileStereoNet
 
 
 def training_form(net: StereoModel) -> StereoModel:
@@ -44,7 +44,7 @@ def training_form(net: StereoModel) -> StereoModel:
     fast_depthwise(fast)
     if _runs_triton(fast):
         fuse_activations(fast)
-    return BatchedStereoNet(fast) if type(fast) is StereoNet else fast
+    return BatchedMobileStereoNet(fast) if type(fast) is MobileStereoNet else fast
 
 
 def _runs_triton(net: nn.Module) -> bool:

@@ -82,8 +82,9 @@ def _check_model(model: str | None, weights: object) -> None:
     """Check the name of a network that must have weights, where it can be told without PyTorch."""
     if model is None:
         return
-    prefix, _, file = model.rpartition(":")
-    path = file if prefix == "onnx" else prefix  # onnx:FILE, or FILE.py:CLASS
+    # onnx:FILE,option=value or FILE.py:CLASS
+    is_onnx = model.startswith("onnx:")
+    path = model[5:].partition(",")[0] if is_onnx else model.rpartition(":")[0]
     if path:
         if not Path(path).is_file():
             raise FileNotFoundError(f"--model {model}: there is no file {path}")

@@ -85,8 +85,8 @@ def network_values(settings: list[str] | None) -> dict[str, Any]:
     Raises:
         InputError: If one is no assignment, or none of the network's.
     """
-    from mobilestereonet.settings import parse_assignments
     from mobilestereonet.errors import InputError
+    from mobilestereonet.settings import parse_assignments
 
     values = parse_assignments(settings or [])
     for name, value in values.items():

@@ -117,7 +117,9 @@ class StereoSample:
 
     def to(self, device: torch.device | str) -> StereoSample:
         """Copy of the sample whose tensors lie on ``device``."""
-        return self.map(lambda tensor: tensor.to(device, non_blocking=True))
+        # A copy to the CPU that does not wait could be read before it is there.
+        wait = torch.device(device).type == "cpu"
+        return self.map(lambda tensor: tensor.to(device, non_blocking=not wait))
 
     def pin_memory(self) -> StereoSample:
         """Copy of the sample in page-locked memory, for asynchronous copies to a GPU."""

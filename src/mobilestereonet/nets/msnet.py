@@ -29,7 +29,7 @@ UNGUIDED_STEPS = 4
 """Every n-th training step runs unguided, so that the network also learns the coarse pass."""
 
 
-class StereoNet(VolumeModel):
+class MobileStereoNet(VolumeModel):
     """Stereo matching network (the paper's Fig. 4), assembled from a config."""
 
     config: NetConfig
@@ -190,14 +190,14 @@ register_model(
     config=MSNET2D,
     published={"SceneFlow EPE, px": 1.14, "KITTI 2015 validation D1, %": 2.53},
     **_RELEASE,
-)(StereoNet)
+)(MobileStereoNet)
 # With the skip in its 3D blocks that the paper describes; the release does without.
-register_model("msnet3d", config=MSNET3D, paper=_PAPER)(StereoNet)
+register_model("msnet3d", config=MSNET3D, paper=_PAPER)(MobileStereoNet)
 register_model(
     "msnet3d-authors",
     config=replace(MSNET3D, v2_skip=False),
     published={"SceneFlow EPE, px": 0.8, "KITTI 2015 validation D1, %": 1.59},
     **_RELEASE,
-)(StereoNet)
+)(MobileStereoNet)
 for _name, _config in {"baseline2d": BASELINE2D, "baseline3d": BASELINE3D, **_ablations()}.items():
-    register_model(_name, config=_config, paper=_PAPER)(StereoNet)
+    register_model(_name, config=_config, paper=_PAPER)(MobileStereoNet)

@@ -98,7 +98,8 @@ def _default_config(network: type[StereoModel]) -> Any:
 
 def list_models(pattern: str = "*") -> list[str]:
     """Registered names that match a shell pattern, such as ``msnet*``, in order of registration."""
-    return fnmatch.filter(_MODELS, pattern)
+    # Classes of the user's own are looked up by their files.
+    return fnmatch.filter((name for name in _MODELS if ".py:" not in name), pattern)
 
 
 def model_info(name: str) -> ModelInfo:

@@ -22,7 +22,7 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
-from mobilestereonet.nets.operations import pad, unpad
+from mobilestereonet.nets.operations import eval_mode, pad, unpad
 from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.muon import Muon
@@ -81,10 +81,12 @@ class StereoModule(L.LightningModule):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1 of any size, in eval mode."""
         height, width = left.shape[-2:]
-        multiple = self.net.size_multiple
-        size = [math.ceil(side / multiple) * multiple for side in (height, width)]
+        multiple, least = self.net.size_multiple, self.net.min_side
+        size = [max(math.ceil(side / multiple) * multiple, least) for side in (height, width)]
         views = [pad(self.net.preprocessing(view), *size) for view in (left, right)]
-        return unpad(cast(Tensor, self.net(*views).disparity), height, width)
+        net = self._accelerated[0] if self._accelerated else self.net
+        with eval_mode(net):
+            return unpad(cast(Tensor, net(*views).disparity), height, width)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Note the precision, which the recipe does not hold."""
