@@ -21,7 +21,7 @@ from mobilestereonet.nets.msnet import MobileStereoNet
 
 
 class BatchedMobileStereoNet(MobileStereoNet):
-    """`MobileStereoNet` whose features take both views in one batch; it has the modules of another."""
+    """`MobileStereoNet`, with the modules of another, whose features take both views in a batch."""
 
     def __init__(self, net: MobileStereoNet) -> None:
         VolumeModel.__init__(self, net.config)
