@@ -3,7 +3,7 @@
     python benchmarks/robustness.py [--root DIR] [--weights FILE ...] [--precision bf16]
         [--json FILE]
 
-StereoSGBM and every embedded network on the real pairs of `accuracy.py`, as they are and spoilt.
+StereoSGBM and every embedded network on the real pairs of `accuracy.py`, as they are and corrupted.
 The median over the pairs counts. Noise has a fixed seed, so that everyone gets the same views.
 """
 
