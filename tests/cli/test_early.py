@@ -5,8 +5,9 @@ import sys
 
 import pytest
 
-from mobilestereonet.cli.early import ENGINES
+from mobilestereonet.cli.early import ENGINES, check_values
 from mobilestereonet.engines import choose
+from mobilestereonet.errors import InputError
 
 PROGRAM = """
 import sys
@@ -61,3 +62,9 @@ def test_an_absent_view(command, tmp_path):
 
 def test_the_engines_are_those_that_there_are():
     assert set(ENGINES) == set(choose.ENGINES)
+
+
+def test_training_takes_networks_without_weights():
+    check_values({"model": "baseline2d", "weights": None, "recipe": "procedural"})
+    with pytest.raises(InputError, match="need --weights FILE"):
+        check_values({"model": "baseline2d", "weights": None})

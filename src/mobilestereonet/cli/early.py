@@ -64,7 +64,8 @@ def check_values(values: Mapping[str, Any]) -> None:
     device = values.get("device")
     if device is not None and not re.fullmatch(_DEVICE, device):
         raise InputError(f"--device {device}: write it as auto, cpu, cuda or cuda:1")
-    if "weights" in values and "model" in values:
+    # Training takes networks without weights.
+    if "weights" in values and "model" in values and "recipe" not in values:
         models = values["model"]
         for model in models if isinstance(models, list | tuple) else [models]:
             _check_model(model, values["weights"])
