@@ -1,8 +1,9 @@
-"""Training: both views in one batch, all disparities in one batch.
+"""Batched forms for training: both views at once, all disparities of a cost volume at once.
 
 In eval mode the result is that of the plain network. In training mode batch norms take their
 statistics once, over both views and over all disparities without the columns that have no partner;
-the plain network, as the authors', updates them once per view and per disparity.
+the plain network, as the authors', updates them once per view and per disparity. See
+``docs/how-it-works.md``, "Exact accelerations".
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 oneDNN is fast at the gradients of plain 2D depthwise convolutions only (PyTorch 2.13, channels
 last). The others are put together from layers that it does well. On NVIDIA GPUs those in 3D have
-kernels of their own, see `accelerate.depthwise_triton`.
+kernels of their own, see `accelerate.depthwise_triton`. See also ``docs/how-it-works.md``, "Exact
+accelerations".
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Fused layers: convolution, sum and activation in one pass over memory, and blocks by rows."""
+"""Fused layers: convolution, sum and activation in one pass over memory, and blocks by rows.
+
+See ``docs/how-it-works.md``, "Exact accelerations".
+"""
 
 from __future__ import annotations
 

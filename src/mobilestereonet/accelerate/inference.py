@@ -1,6 +1,6 @@
 """The form of a network for inference: rewritings in eval mode that keep its result.
 
-What is left has no training mode.
+What is left has no training mode. See ``docs/how-it-works.md``, "Exact accelerations".
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Fused batch norm and activation, for training on one NVIDIA GPU."""
+"""Fused batch norm and activation, for training on one NVIDIA GPU.
+
+PyTorch runs the activation by itself, and reads and writes everything once more for it. See
+``docs/how-it-works.md``, "Exact accelerations".
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Batch norms folded into the convolutions before them.
 
 In eval mode a batch norm is an affine map per channel, y = (x - mean) * weight / sqrt(var + eps)
-+ bias: it scales the kernels of the convolution before it and becomes its bias.
++ bias: it scales the kernels of the convolution before it and becomes its bias. Worked example:
+``docs/how-it-works.md``, "Exact accelerations", folded norms.
 """
 
 from __future__ import annotations

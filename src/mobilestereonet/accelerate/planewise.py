@@ -1,4 +1,8 @@
-"""Cost volumes one disparity plane at a time: what stays in a processor's cache."""
+"""Cost volumes one disparity plane at a time, so that a plane stays in a processor's cache.
+
+The first convolution of the interlacing volume is linear: each view's share is computed once and
+shifted. See ``docs/how-it-works.md``, "Exact accelerations", with the drawing of the volume.
+"""
 
 from __future__ import annotations
 

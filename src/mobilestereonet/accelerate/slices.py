@@ -1,7 +1,8 @@
 """3D layers as 2D layers on slices: for engines without 3D convolutions, or with slow ones.
 
 A volume (1, C, D, H, W) becomes D slices along the batch axis, (D, C, H, W), and a kernel that is
-three slices deep a sum of three 2D convolutions.
+three slices deep a sum of three 2D convolutions. See ``docs/how-it-works.md``, "Exact
+accelerations".
 """
 
 from __future__ import annotations
