@@ -6,19 +6,19 @@ they give.
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args, overload
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from torch import nn
 
-from mobilestereonet.accelerate.export import ExportableNet, exportable_form
-from mobilestereonet.accelerate.inference import inference_form
-from mobilestereonet.accelerate.training import training_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import StereoModel
 
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
+
 Purpose = Literal["inference", "training", "export"]
 
-__all__ = ["ExportableNet", "Purpose", "accelerate"]
+__all__ = ["Purpose", "accelerate"]
 
 
 @overload
@@ -62,9 +62,18 @@ def accelerate(net: Any, purpose: Purpose, **options: Any) -> nn.Module:
     if hasattr(net, "accelerated_for"):
         raise InputError(f"the network is its form for {net.accelerated_for}: give the plain one")
     form: nn.Module
+    # Imported where they are needed: `msnet predict` does not wait for what only training has.
     if purpose == "export":
+        from mobilestereonet.accelerate.export import exportable_form
+
         form = exportable_form(net, **options)
+    elif purpose == "training":
+        from mobilestereonet.accelerate.training import training_form
+
+        form = training_form(net)
     else:
-        form = inference_form(net) if purpose == "inference" else training_form(net)
+        from mobilestereonet.accelerate.inference import inference_form
+
+        form = inference_form(net)
     form.accelerated_for = purpose  # type: ignore[assignment]
     return form

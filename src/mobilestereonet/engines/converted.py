@@ -13,19 +13,22 @@ from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import platformdirs
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet.accelerate import ExportableNet, accelerate
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.engines.network import NetworkEngine, regress
 from mobilestereonet.engines.tracing import Size, exportable
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
 
 CONVERSION_VERSION = 1
 """Part of every conversion's key in the cache.

@@ -6,16 +6,18 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from numpy.typing import NDArray
 
-from mobilestereonet.accelerate import ExportableNet
 from mobilestereonet.engines.converted import ConvertedEngine, Run
 from mobilestereonet.engines.devices import AUTO
 from mobilestereonet.engines.tracing import Size, example_pair
 from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
 
 _OPSET = 20
 _CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"

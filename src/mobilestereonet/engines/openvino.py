@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from numpy.typing import NDArray
 
-from mobilestereonet.accelerate import ExportableNet
 from mobilestereonet.engines.converted import ConvertedEngine, Run
 from mobilestereonet.engines.devices import AUTO
 from mobilestereonet.engines.tracing import Size, example_pair
 from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
 
 _PRECISIONS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16"}
 

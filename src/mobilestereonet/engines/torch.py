@@ -49,9 +49,10 @@ class TorchEngine(NetworkEngine):
                 f"got {precision!r}"
             )
         self.dtype = _DTYPES[precision]
-        # Weights are rewritten for the device on which they are.
-        accelerated = accelerate(copy.deepcopy(net).to(self.device), "inference")
-        self.net = accelerated.to(self.dtype)
+        # Weights are rewritten for the device on which they are; the caller's stay where they are.
+        if next(net.parameters(), torch.empty(0)).device != self.device:
+            net = copy.deepcopy(net).to(self.device)
+        self.net = accelerate(net, "inference").to(self.dtype)
 
     @staticmethod
     def precisions(device: torch.device) -> list[str]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import copy
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from mobilestereonet.accelerate import ExportableNet, accelerate
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.nets.model import StereoModel
+
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
 
 Size = tuple[int, int]
 """Height and width in pixels."""
@@ -25,15 +29,13 @@ def exportable(
         scores: Give the scores of a `VolumeModel`, not the disparity.
         conv3d_as_2d: Write 3D layers as 2D layers, where the network's form for export can.
     """
-    network = accelerate(
+    return accelerate(
         copy.deepcopy(net).cpu().float(),
         "export",
         rgb=rgb,
         scores=scores,
         conv3d_as_2d=conv3d_as_2d,
     )
-    assert isinstance(network, ExportableNet)
-    return network
 
 
 def example_pair(network: ExportableNet, size: Size | None = None) -> tuple[Tensor, Tensor]:

@@ -7,13 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from torch import Tensor
 
-from mobilestereonet.accelerate import ExportableNet
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.accelerate.export import ExportableNet
 
 Pair = tuple[Tensor, Tensor]
 """Left and right view, (1, 3, H, W) float32, RGB in 0..1."""
