@@ -96,10 +96,15 @@ def _default_config(network: type[StereoModel]) -> Any:
         ) from None
 
 
-def list_models(pattern: str = "*") -> list[str]:
-    """Registered names that match a shell pattern, such as ``msnet*``, in order of registration."""
-    # Classes of the user's own are looked up by their files.
-    return fnmatch.filter((name for name in _MODELS if ".py:" not in name), pattern)
+def list_models(pattern: str = "*", *, imported: bool = False) -> list[str]:
+    """Registered names that match a shell pattern, such as ``msnet*``, in order of registration.
+
+    Args:
+        pattern: The pattern.
+        imported: Also list the classes of the user's own, ``my_net.py:MyNet``, that were imported.
+    """
+    names = [name for name in _MODELS if imported or ".py:" not in name]
+    return fnmatch.filter(names, pattern)
 
 
 def model_info(name: str) -> ModelInfo:

@@ -81,7 +81,8 @@ def _network_name(weights: WeightsFile, model: str | None) -> str:
         return model or _fitting_network(weights)
     if model is not None:
         model_config(model)  # a class of the user's own may register the name
-    known = [name for name in list_models() if Path(name).name == Path(held).name]
+    names = list_models(imported=True)
+    known = [name for name in names if Path(name).name == Path(held).name]
     if known:
         return known[-1]
     if model is None:
