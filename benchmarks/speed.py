@@ -79,7 +79,7 @@ class Case:
         return int(height), int(width)
 
     def macs(self) -> int:
-        costs = count_costs(self.model, *self.height_width, max_disparity=self.max_disparity)
+        costs = count_costs(self.model, *self.height_width, {"max_disparity": self.max_disparity})
         return costs["total"].macs
 
     def net(self) -> StereoModel:

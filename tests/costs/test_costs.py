@@ -145,9 +145,9 @@ def test_cost_grows_with_the_image_alone_in_3d():
 
 
 def test_a_coarse_pass_is_a_pass_at_half_of_the_size():
-    whole = count_costs("msnet3d", 64, 128, coarse_pass=True)["total"]
+    whole = count_costs("msnet3d", 64, 128, {"coarse_pass": True})["total"]
     fine = count_costs("msnet3d", 64, 128)["total"]
-    half = count_costs("msnet3d", 32, 64, max_disparity=96)["total"]
+    half = count_costs("msnet3d", 32, 64, {"max_disparity": 96})["total"]
     guide = 27 * 32 * 48 * 16 * 32  # one channel to 32 over (48, 16, 32)
     assert whole.macs == fine.macs + half.macs + guide
     assert whole.params == fine.params + 27 * 32
@@ -160,10 +160,15 @@ def test_a_network_stays_as_it_is():
     assert net.training and not any(parameter.is_meta for parameter in net.parameters())
     assert count_costs(net, 64, 128) == before
     with pytest.raises(InputError, match="groups: a network has its config"):
-        count_costs(net, 64, 128, groups=16)
+        count_costs(net, 64, 128, {"groups": 16})
 
 
 @pytest.mark.parametrize("size", [(100, 128), (64, 0), (64, -16)])
 def test_refuses_a_size(size):
     with pytest.raises(InputError, match=r"multiple of 16, got (100|0|-16)"):
         count_costs("msnet2d", *size)
+
+
+def test_a_networks_own_width_is_no_width_of_views():
+    narrow = count_costs("msnet2d", 32, 64, {"width": 16})["total"]
+    assert narrow.params < count_costs("msnet2d", 32, 64)["total"].params

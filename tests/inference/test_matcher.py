@@ -410,3 +410,15 @@ def test_everything_up_to_the_end_happens_on_the_engines_device(tile):
     found = matcher.infer(*views)
     assert found.disparity.shape == found.confidence.shape == (2, 600, 500)
     assert found.disparity.device.type == found.confidence.device.type == "meta"
+
+
+def test_values_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match=r"padding must be \(height, width\), got 64"):
+        StereoMatcher.from_pretrained("msnet2d", padding=64)
+    with pytest.raises(InputError, match="sgbm has no option 'foo'"):
+        StereoMatcher.from_pretrained("sgbm", foo=3)
+    with pytest.raises(InputError, match="has no value 'tile'"):
+        StereoMatcher.from_pretrained("msnet2d", config={"tile": 5})
+    matcher = StereoMatcher.from_pretrained("sgbm")
+    with pytest.raises(InputError, match=r"floating point in 0\.\.1, got torch\.uint8"):
+        matcher.infer(*torch.zeros(2, 1, 3, 32, 64, dtype=torch.uint8))

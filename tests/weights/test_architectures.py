@@ -156,3 +156,25 @@ def test_a_class_that_registers_itself_in_its_file(tmp_path):
     with pytest.raises(InputError, match="holds mine, which is none of the registered networks"):
         load_model(tmp_path / "own.safetensors")
     assert load_model(tmp_path / "own.safetensors", model=reference).max_disparity == 64
+
+
+def test_a_subclass_of_a_registered_network_is_not_taken_for_it(tmp_path):
+    (tmp_path / "sub.py").write_text(
+        "from mobilestereonet.nets import register_model\n"
+        "from mobilestereonet.nets.msnet import MSNET2D, MobileStereoNet\n"
+        "from dataclasses import replace\n\n"
+        "@register_model('test-mine', config=replace(MSNET2D, max_disparity=32))\n"
+        "class Mine(MobileStereoNet):\n"
+        "    def aggregate(self, volume, guidance=None):\n"
+        "        return [0 * scores for scores in super().aggregate(volume, guidance)]\n"
+    )
+    net = build_model(f"{tmp_path}/sub.py:Mine").eval()
+    save_weights(net, tmp_path / "mine.safetensors")
+    loaded = load_model(tmp_path / "mine.safetensors", model=f"{tmp_path}/sub.py:Mine")
+    assert type(loaded).__name__ == "Mine"
+    plain = build_model("msnet2d", max_disparity=32)
+    save_weights(plain, tmp_path / "plain.safetensors")
+    loaded = load_model(tmp_path / "plain.safetensors", model=f"{tmp_path}/sub.py:Mine")
+    assert type(loaded).__name__ == "Mine"  # it was asked for
+    for name in ("test-mine", f"{tmp_path}/sub.py:Mine"):
+        del registry._MODELS[name]

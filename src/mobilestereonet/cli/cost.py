@@ -65,7 +65,7 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
         values[field] = value
     config = override(model_config(model), values, f"model {model}")
     checked = {field: getattr(config, field) for field in values}
-    parts = count_costs(model, height, width, **checked)
+    parts = count_costs(model, height, width, checked)
     if as_json:
         facts = {"model": model, "config": asdict(config), "height": height, "width": width}
         costs = {name: asdict(cost) for name, cost in parts.items()}

@@ -21,7 +21,7 @@ PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
 
-_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar")
+_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 
 _FILES = ("left", "right", "calib", "calib_left")
 """Parameters that name files to read."""
@@ -59,7 +59,7 @@ def check_values(values: Mapping[str, Any]) -> None:
         if isinstance(folder, Path) and not folder.is_dir():
             raise FileNotFoundError(f"no folder {folder}")
     if "runtime" in values:
-        _check_choice("--runtime", values["runtime"], ("auto", *ENGINES))
+        _check_choice("--runtime", values["runtime"], ENGINES)
         _check_choice("--precision", values.get("precision"), PRECISIONS)
     device = values.get("device")
     if device is not None and not re.fullmatch(_DEVICE, device):

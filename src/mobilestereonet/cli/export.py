@@ -52,6 +52,8 @@ def export(
 
     from mobilestereonet.cli.engine import open_network
     from mobilestereonet.export import export_model, find_format
+    from mobilestereonet.inference import DEFAULT_MODEL
+    from mobilestereonet.weights import is_embedded
 
     found = find_format(format_)
     precision = precision or found.precisions[0]
@@ -63,7 +65,7 @@ def export(
         net,
         output or Path(default + found.ending),
         model=name,
-        embedded=weights is None,
+        embedded=weights is None and is_embedded(model or DEFAULT_MODEL),
         precision=precision,
         size=(height, width),
         calibration=calibration,

@@ -104,7 +104,7 @@ def predict(
         tile=tile or "auto",
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
-        **network_values(settings),
+        config=network_values(settings),
     )
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)

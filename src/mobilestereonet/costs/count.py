@@ -22,6 +22,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -103,7 +104,10 @@ def layer_macs(layer: nn.Module, x: Tensor, y: Tensor) -> tuple[int, int]:
 
 @torch.no_grad()
 def count_costs(
-    network: StereoModel | str, height: int = 256, width: int = 512, **overrides: Any
+    network: StereoModel | str,
+    height: int = 256,
+    width: int = 512,
+    config: Mapping[str, Any] | None = None,
 ) -> dict[str, Cost]:
     """MACs and parameters per part and in total, by shapes alone: nothing is computed.
 
@@ -111,7 +115,7 @@ def count_costs(
         network: A network as `nets` writes it, or its name (see `model_info`).
         height: Height of a view, a multiple of the network's ``size_multiple``.
         width: Width of a view, likewise.
-        **overrides: With a name, fields of its config to change.
+        config: With a name, fields of the network's config to change.
 
     Returns:
         Cost of each part, by the names of the network's attributes, and, last, "total".
@@ -121,7 +125,7 @@ def count_costs(
         InputError: If the size is not a positive multiple, the name or a field is unknown, or a
             value is refused.
     """
-    net = _on_meta(network, overrides)
+    net = _on_meta(network, config or {})
     multiple = net.size_multiple
     for name, size in (("height", height), ("width", width)):
         if size < multiple or size % multiple:
@@ -144,7 +148,7 @@ def count_costs(
     return {**{part: costs[part] for part in parts}, "total": sum(costs.values(), Cost())}
 
 
-def _on_meta(network: StereoModel | str, overrides: dict[str, Any]) -> StereoModel:
+def _on_meta(network: StereoModel | str, overrides: Mapping[str, Any]) -> StereoModel:
     """A copy of a network in eval mode, without the values of its weights."""
     if isinstance(network, str):
         with torch.device("meta"):

@@ -179,7 +179,11 @@ def read_rig(*paths: str | Path, unit: str | None = None) -> StereoRig:
 
 def _image_size(entries: dict[str, Any]) -> tuple[int, int] | None:
     if {"image_width", "image_height"} <= entries.keys():
-        return int(entries["image_width"]), int(entries["image_height"])
+        try:
+            return int(entries["image_width"]), int(entries["image_height"])
+        except (TypeError, ValueError):
+            sizes = f"{entries['image_width']!r} and {entries['image_height']!r}"
+            raise InputError(f"image_width and image_height must be numbers, got {sizes}") from None
     for name in ("imageSize", "image_size"):
         if name in entries:
             width, height = matrix_of(entries, [name], (2,))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.engines.torch import TorchEngine, has_bfloat16
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.settings import check_arguments
 
 CONVERTED: dict[str, type[ConvertedEngine]] = {
     engine.name: engine for engine in (OnnxRuntimeEngine, OpenVinoEngine)
@@ -79,7 +81,7 @@ def open_standalone(
     *,
     threads: int | None = None,
     device: str | torch.device = "cpu",
-    **options: Any,
+    options: Mapping[str, Any] | None = None,
 ) -> Engine | None:
     """Open a model that is an engine by itself, without a network of this package.
 
@@ -87,7 +89,7 @@ def open_standalone(
         model: "sgbm", for OpenCV's semi-global matching, or "onnx:FILE" (see `OnnxFileEngine`).
         threads: Threads on a CPU; None leaves them to the engine. OpenCV has its own.
         device: For an ONNX file, see `OnnxFileEngine`.
-        **options: For "sgbm", those of `StereoSGBM`.
+        options: For "sgbm", those of `StereoSGBM`.
 
     Returns:
         None if ``model`` is no such name.
@@ -97,9 +99,12 @@ def open_standalone(
         InputError: If the file or a value is refused.
     """
     if model == StereoSGBM.name:
-        return StereoSGBM(**options)
+        return StereoSGBM(**check_arguments(StereoSGBM.__init__, options or {}, model))
     if model.startswith(OnnxFileEngine.prefix):
-        return OnnxFileEngine(model, threads=threads, device=device, **options)
+        if options:
+            given = ", ".join(options)
+            raise InputError(f"{model} has its options in its name, not as {given}: leave that out")
+        return OnnxFileEngine(model, threads=threads, device=device)
     return None
 
 

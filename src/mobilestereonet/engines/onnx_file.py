@@ -116,7 +116,15 @@ class OnnxFileEngine:
             description.name: self._array(view)
             for description, view in zip(self._inputs, (left, right), strict=True)
         }
-        (found,) = self._session.run([self._output.name], feed)
+        try:
+            (found,) = self._session.run([self._output.name], feed)
+        except Exception as error:  # it has a class of its own for each kind of failure
+            reason = str(error).strip().split("\n")[0]
+            shape = "{} x {}".format(*left.shape[-2:])
+            raise InputError(
+                f"{self.path}: ONNX Runtime fails on views of {shape} (height x width): {reason}; "
+                "does it need size_multiple=N or min_width=N?"
+            ) from error
         size = tuple(left.shape[-2:])
         map_ = _single_map(found, size)
         if map_ is None:

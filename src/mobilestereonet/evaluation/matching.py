@@ -14,7 +14,7 @@ from mobilestereonet.errors import InputError
 DisparityFn = Callable[[Tensor, Tensor], Tensor]
 """Left and right views, (B, 3, H, W) RGB in 0..1, to disparity in px, (B, H, W).
 
-``StereoMatcher.disparity`` is such a function, and so is a `StereoSGBM`.
+``StereoMatcher.disparity`` is such a function.
 """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,9 @@ class StereoMatcher:
                 device; if both ``padding`` and ``tile`` are given; or if the engine has no
                 confidence, which ``confidence`` and ``refine`` need.
         """
+        for what, size in (("padding", padding), ("tile", tile)):
+            if size not in ("auto", None) and not (isinstance(size, Sequence) and len(size) == 2):
+                raise InputError(f"{what} must be (height, width), got {size!r}")
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         self._net = model if isinstance(model, StereoModel) else None
@@ -130,6 +133,7 @@ class StereoMatcher:
         confidence: bool = False,
         left_right: bool = False,
         refine: bool | None = None,
+        config: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> StereoMatcher:
         """Make a matcher with trained weights.
@@ -150,8 +154,9 @@ class StereoMatcher:
             confidence: Likewise.
             left_right: Likewise.
             refine: Likewise.
-            **overrides: Values of the network's config in place of those of the weights, such as
-                ``estimator="mean"``; for "sgbm" its ``max_disparity``.
+            config: Values of the network's config in place of those of the weights; for "sgbm" its
+                ``max_disparity``.
+            **overrides: The same as keywords, such as ``estimator="mean"``.
 
         Raises:
             FileNotFoundError: If there is no such weights file.
@@ -166,8 +171,9 @@ class StereoMatcher:
             "left_right": left_right,
             "refine": refine,
         }
+        values = {**(config or {}), **overrides}
         if isinstance(source, str):
-            alone = open_standalone(source, threads=threads, device=device, **overrides)
+            alone = open_standalone(source, threads=threads, device=device, options=values)
             if alone is not None:
                 given = {"model": model, "revision": revision}
                 given |= {"engine": engine, "precision": precision}
@@ -176,7 +182,7 @@ class StereoMatcher:
                     raise InputError(f"{source} runs by itself: leave {', '.join(chosen)} out")
                 name = Path(source.partition(",")[0]).name  # without an ONNX file's options
                 return cls(alone, name=name, **wanted)
-        net = load_model(source, model=model, revision=revision, **overrides)
+        net = load_model(source, model=model, revision=revision, config=values)
         return cls(
             net,
             name=model,
@@ -308,6 +314,11 @@ class StereoMatcher:
             raise InputError(
                 "left and right must both be (B, 3, H, W), "
                 f"got {tuple(left.shape)} and {tuple(right.shape)}"
+            )
+        if not (left.is_floating_point() and right.is_floating_point()):
+            raise InputError(
+                f"tensors must be floating point in 0..1, got {left.dtype} and {right.dtype}: "
+                "divide by the largest value"
             )
         views = (view.to(self.device, torch.float32) for view in (left, right))
         with torch.inference_mode():

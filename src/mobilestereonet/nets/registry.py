@@ -119,7 +119,10 @@ def model_info(name: str) -> ModelInfo:
     """
     if name not in _MODELS and ".py:" in name:
         path, _, attribute = name.rpartition(":")
-        register_model(name)(_import_network(Path(path), attribute))
+        network = _import_network(Path(path), attribute)
+        # The file may register its class with a config.
+        own = [info.config for info in _MODELS.values() if info.network is network]
+        register_model(name, config=own[-1] if own else None)(network)
     if name not in _MODELS:
         near = difflib.get_close_matches(name, _MODELS, n=3) or ["msnet2d", "msnet3d"]
         raise InputError(
@@ -158,7 +161,7 @@ def import_from_file(path: Path, attribute: str) -> Any:
     return getattr(module, attribute, None)
 
 
-def model_config(name: str, **overrides: Any) -> Any:
+def model_config(name: str, /, **overrides: Any) -> Any:
     """Config of a named network.
 
     Args:
@@ -172,7 +175,7 @@ def model_config(name: str, **overrides: Any) -> Any:
     return override(model_info(name).config, overrides, f"model {name}")
 
 
-def build_model(name: str, **overrides: Any) -> StereoModel:
+def build_model(name: str, /, **overrides: Any) -> StereoModel:
     """A named network with fresh weights, in training mode.
 
     Args:

@@ -133,8 +133,9 @@ def _write_json(path: Path, record: dict[str, Any]) -> None:
 
 def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
     """Score the exported weights."""
+    own = recipe.model if ".py:" in recipe.model else None
     matcher = StereoMatcher.from_pretrained(
-        run / "weights.safetensors", device=device, refine=False
+        run / "weights.safetensors", model=own, device=device, refine=False
     )
     max_disparity = model_config(recipe.model, **recipe.net).max_disparity
     result = evaluate(

@@ -102,7 +102,7 @@ def _printed() -> dict[str, Any]:
 
 @functools.cache
 def _costs(model: str, **overrides: Any) -> dict[str, Cost]:
-    return count_costs(model, height=256, width=512, **overrides)
+    return count_costs(model, height=256, width=512, config=overrides)
 
 
 def _cells(table: str, row: str, cost: Cost, macs: float, params: float) -> tuple[Cell, Cell]:

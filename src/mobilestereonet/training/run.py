@@ -143,7 +143,7 @@ def train(
         # Lightning does it as well, but not where a resumed run had no step left.
         average.on_train_end(trainer, module)
     if trainer.is_global_zero:
-        save_weights(module.net, folder / "weights.safetensors", dtype=torch.float16)
+        save_weights(module.net, folder / "weights.safetensors")
     done = trainer.global_step
     rank_zero_info(
         f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
@@ -225,7 +225,9 @@ def _is_no_advertisement(record: logging.LogRecord) -> bool:
 
 def _load_initial(module: StereoModule, weights: str) -> None:
     """Start from weights; they may lack what is zero in a fresh network: it changes nothing yet."""
-    found = load_model(weights)
+    # A class of the user's own is not run on the word of a file.
+    own = module.recipe.model if ".py:" in module.recipe.model else None
+    found = load_model(weights, model=own)
     fresh = module.net.state_dict()
     zeros = {name: value for name, value in fresh.items() if not value.any()}
     try:

@@ -81,6 +81,8 @@ def _network_name(weights: WeightsFile, model: str | None) -> str:
         return model or _fitting_network(weights)
     if model is not None:
         model_config(model)  # a class of the user's own may register the name
+    if model is not None and ":" in model and ":" not in held:
+        return model  # a class that was asked for, such as one that extends what the file names
     names = list_models(imported=True)
     known = [name for name in names if Path(name).name == Path(held).name]
     if known:

@@ -95,8 +95,8 @@ def model_reference(net: StereoModel) -> str:
 
     A variant that has no name of its own is called by one of its class; its config tells the rest.
     """
-    classes = type(net).__mro__
-    names = [name for name in list_models() if model_info(name).network in classes]
+    registered = list_models(imported=True)
+    names = [name for name in registered if model_info(name).network is type(net)]
     exact = model_name(net.config)
     if names:
         return Path(exact if exact in names else names[0]).name  # the user's own have a folder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,13 @@ _IN_FOLDERS = ("model.safetensors", "weights.safetensors")
 
 
 def load_model(
-    name: str | Path, *, model: str | None = None, revision: str | None = None, **overrides: Any
+    name: str | Path,
+    /,
+    *,
+    model: str | None = None,
+    revision: str | None = None,
+    config: Mapping[str, Any] | None = None,
+    **overrides: Any,
 ) -> StereoModel:
     """Load a network with trained weights.
 
@@ -44,7 +51,8 @@ def load_model(
         model: Name of the network, or its class such as "my_net.py:MyNet", where a file does not
             tell; otherwise a check of what it holds.
         revision: Branch, tag or commit on the hub.
-        **overrides: Values of the network's config to replace, such as ``estimator="mean"``.
+        config: Values of the network's config to replace.
+        **overrides: The same as keywords, such as ``estimator="mean"``.
 
     Returns:
         The network in eval mode, float32, on the CPU.
@@ -55,10 +63,10 @@ def load_model(
             ``model``, or does not fit ``overrides``; or if the hub cannot be read.
     """
     weights = from_authors(_find(name, revision))
-    return build_from(weights, model, overrides)
+    return build_from(weights, model, {**(config or {}), **overrides})
 
 
-def create_model(name: str, pretrained: bool = False, **overrides: Any) -> StereoModel:
+def create_model(name: str, /, pretrained: bool = False, **overrides: Any) -> StereoModel:
     """A registered network, with fresh weights or those of the package.
 
     Args:
