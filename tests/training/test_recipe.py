@@ -1,7 +1,11 @@
 import json
+import tempfile
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.training.recipe import (
@@ -165,3 +169,32 @@ def test_our_schedule_warms_up_and_decays():
     assert factors == pytest.approx([0.01, 0.505, 1.0, 1.0, 0.505, 0.01])
     tail = [recipe.lr_factor(0.5 + 0.05 * i) for i in range(11)]
     assert all(a > b for a, b in pairwise(tail))
+
+
+POSITIVE = st.integers(1, 10_000)
+VALUES = st.fixed_dictionaries(
+    {},
+    optional={
+        "batch_size": POSITIVE,
+        "lr": st.floats(1e-9, 10, allow_nan=False),
+        "seed": st.integers(0, 2**32 - 1),
+        "clip": st.none() | st.floats(1e-3, 10),
+        "full_heads": st.none() | st.integers(1, 4),
+        "textures": st.none() | st.text(min_size=1, max_size=20),
+        "net.max_disparity": st.sampled_from([64, 192]),
+        "net.cost_volume": st.sampled_from(["correlation", "interlaced-2"]),
+        "augment.noise": st.floats(0, 1),
+        "augment.scale": st.tuples(st.floats(-0.5, 0), st.floats(0, 0.5)),
+        "scenes.seed": st.integers(0, 1000),
+    },
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(name=st.sampled_from(list(RECIPES)), values=VALUES)
+def test_any_recipe_comes_back_from_its_json(name, values):
+    recipe = override(get_recipe(name), values)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recipe.json"
+        path.write_text(recipe.to_json(), "utf-8")
+        assert read_recipe(path) == recipe
