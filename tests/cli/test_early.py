@@ -5,9 +5,11 @@ import sys
 
 import pytest
 
+from mobilestereonet.cli import early
 from mobilestereonet.cli.early import ENGINES, check_values
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
+from mobilestereonet.training import recipe
 
 PROGRAM = """
 import sys
@@ -62,6 +64,21 @@ def test_an_absent_view(command, tmp_path):
 
 def test_the_engines_are_those_that_there_are():
     assert set(ENGINES) == set(choose.ENGINES)
+    assert set(early.RECIPES) == set(recipe.RECIPES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--recipe", "procedurel"), "--recipe procedurel: did you mean procedural? There are"),
+        (("--set", "lr"), "'lr': write it as key=value"),
+    ],
+)
+def test_mistakes_of_train(tmp_path, arguments, message):
+    command = [sys.executable, "-c", PROGRAM, "train", str(tmp_path), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
 
 
 def test_training_takes_networks_without_weights():

@@ -12,9 +12,13 @@ import typer
 from typer.core import TyperCommand
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import parse_assignments
 
 ENGINES = ("torch", "onnxruntime", "openvino")
 """Names of the engines that run a network; a test compares them with `engines.choose`."""
+
+RECIPES = ("procedural", "procedural-plain", "paper-sceneflow", "paper-kitti2015")
+"""Names of the recipes; a test compares them with `training.recipe`."""
 
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
@@ -58,6 +62,9 @@ def check_values(values: Mapping[str, Any]) -> None:
         folder = values.get(name)
         if isinstance(folder, Path) and not folder.is_dir():
             raise FileNotFoundError(f"no folder {folder}")
+    for name in ("settings", "assignments"):
+        parse_assignments(values.get(name) or [])
+    _check_choice("--recipe", values.get("recipe"), RECIPES)
     if "runtime" in values:
         _check_choice("--runtime", values["runtime"], ENGINES)
         _check_choice("--precision", values.get("precision"), PRECISIONS)
