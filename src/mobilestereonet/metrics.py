@@ -16,6 +16,13 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 
 MASKS = ("all", "noc", "occ", "fg", "bg")
+_MASK_WORDS = {
+    "all": "all of them",
+    "noc": "noc (not occluded)",
+    "occ": "occ (occluded)",
+    "fg": "fg (foreground)",
+    "bg": "bg (background)",
+}
 
 
 @dataclass(frozen=True)
@@ -77,23 +84,31 @@ class StereoScores:
             record["max_disparity"] = None
         return record
 
-    def protocol(self) -> str:
-        """Caption: which pixels were scored, and how they were averaged."""
+    def legend(self) -> str:
+        """What the table's rows and columns mean, and which pixels were scored."""
+        given = [text for mask, text in _MASK_WORDS.items() if mask in self.masks]
         text = (
-            f"Pixels with ground truth 0 < d < {self.max_disparity:g}. Per image: mean over the "
-            "images of each image's mean (the paper's). Per pixel: mean over all pixels. "
-            "Empty: images without such a pixel."
+            f"Pixels with ground truth 0 < d < {self.max_disparity:g}; masks: {', '.join(given)}. "
+            "EPE: mean error; px-n: share of errors above n px; D1: above 3 px and 5 %. "
+            "Per image: mean over the images of each image's mean (the paper's). Per pixel: mean "
+            "over all pixels. Empty: images without such a pixel. Skipped: "
         )
         if self.min_share > 0:
-            text += (
-                f" Skipped: images where fewer than {100 * self.min_share:g} % of the pixels "
-                "with ground truth are in that range."
+            return text + (
+                f"images where fewer than {100 * self.min_share:g} % of the pixels with ground "
+                "truth are in that range."
             )
-        return text
+        return text + "images that the authors' rule leaves out, none without it."
 
-    def table(self, title: str | None = None) -> Table:
-        """Table of `rich` with one row per mask and figure."""
-        table = Table(title=title, caption=self.protocol(), caption_justify="left")
+    def table(self, title: str | None = None, legend: bool = True) -> Table:
+        """Table of `rich` with one row per mask and figure.
+
+        Args:
+            title: Its title.
+            legend: With the `legend` below it.
+        """
+        caption = self.legend() if legend else None
+        table = Table(title=title, caption=caption, caption_justify="left")
         table.add_column("mask")
         table.add_column("figure")
         for name in ("per image", "per pixel", "images", "empty", "skipped", "pixels"):

@@ -7,7 +7,8 @@ import pytest
 
 def test_json(msnet):
     size = ("--height", 32, "--width", 64)
-    code, out, err = msnet("cost", "--json", "--set", "net.max_disparity=64", *size)
+    network = ("--model", "msnet2d", "--set", "net.max_disparity=64")
+    code, out, err = msnet("cost", "--json", *network, *size)
     assert not code, err
     facts = json.loads(out)
     assert facts["model"] == "msnet2d"
@@ -85,6 +86,16 @@ def test_paper_json(msnet):
     assert final == pytest.approx({"macs": 153.141, "params": 1.770}, abs=0.001)
 
 
+def test_what_the_embedded_weights_have_besides_is_said(msnet):
+    said = "the embedded weights have coarse_pass=true: --set net.coarse_pass=true counts it\n"
+    size = ("--height", 32, "--width", 64)
+    _, out, _ = msnet("cost", *size)
+    assert "msnet3d, two views of 3 x 32 x 64" in out
+    assert out.endswith(said)
+    for arguments in (("--set", "net.coarse_pass=true"), ("--model", "msnet2d"), ("--json",)):
+        assert "embedded" not in msnet("cost", *size, *arguments)[1]
+
+
 def test_tables(msnet, tmp_path):
     assert "30.327" in msnet("cost", "--model", "table3a-v1-v2")[1]
     _, out, _ = msnet("cost", "--paper", "--plot", tmp_path / "curve.png")
@@ -97,7 +108,7 @@ def test_tables(msnet, tmp_path):
     ("arguments", "message"),
     [
         (("--model", "nonet"), "nonet"),
-        (("--set", "net.colour=1"), "model msnet2d has no value 'colour'"),
+        (("--set", "net.colour=1"), "model msnet3d has no value 'colour'"),
         (("--set", "width=16"), "--set width=16: write it as net.width=16"),
         (("--set", "net.width=wide"), "width must be a whole number"),
         (("--set", "net.v2_skip=2"), "v2_skip must be true or false"),

@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from mobilestereonet.cli import early
-from mobilestereonet.cli.early import ENGINES, check_values
+from mobilestereonet.cli.early import ENGINES, UNITS, check_values
+from mobilestereonet.data import camera_files
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
 from mobilestereonet.training import recipe
@@ -41,6 +42,8 @@ def views(tmp_path):
         (("--model", "my_net.py:MyNet"), "there is no file my_net.py"),
         (("--model", "onnx:absent.onnx"), "there is no file absent.onnx"),
         (("--calib", "absent.txt"), "absent.txt: no such file"),
+        (("--weights", "nope.ckpt"), "msnet: nope.ckpt: no such file"),
+        (("--unit", "cm"), "--unit cm: "),
     ],
 )
 def test_mistakes_are_told_before_heavy_imports(views, arguments, message):
@@ -79,6 +82,10 @@ def test_mistakes_of_train(tmp_path, arguments, message):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
+
+
+def test_the_units_are_those_that_there_are():
+    assert set(UNITS) == set(camera_files._METRES)
 
 
 def test_training_takes_networks_without_weights():

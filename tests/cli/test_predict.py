@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
-from mobilestereonet import StereoMatcher, create_model, save_weights
+from mobilestereonet import StereoMatcher, __version__, create_model, save_weights
 from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.weights import embedded
 
@@ -109,7 +110,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
         ({"--model": "baseline3d", "--weights": None}, "no weights of 'baseline3d'"),
         ({"--model": "msnet3d"}, "net.safetensors: holds msnet2d, not msnet3d"),
         ({"--model": "sgbm"}, "sgbm has no weights"),
-        ({"--weights": "absent.safetensors"}, "absent.safetensors: neither embedded weights"),
+        ({"--weights": "absent.safetensors"}, "absent.safetensors: no such file"),
         ({"--weights": "cut.safetensors"}, "cut.safetensors: not a whole safetensors file"),
         ({"--weights": "foreign.safetensors"}, "foreign.safetensors: .*of no registered network"),
         ({"--weights": "left.png"}, "left.png: not a whole safetensors file"),
@@ -133,6 +134,7 @@ def test_bad_input_ends_with_one_line_and_writes_nothing(
     assert code == 2
     assert out == ""
     assert re.fullmatch(rf"msnet: .*{message}.*\n", err)
+    assert not re.search(r"(\S+): \1: ", err)  # no file is named twice
     assert tree(folder) == before
 
 
@@ -170,8 +172,44 @@ def test_demo_tells_the_time_of_both_models(msnet, tmp_path, weights, monkeypatc
     code, out, _ = msnet("demo", "-o", tmp_path, "--threads", 1)
     assert code == 0
     assert re.match("Middlebury's Motorcycle, msnet3d on torch (fp32|bf16), 741x500\n", out)
-    assert re.search(r"\nTime \d+\.\d\d s", out)
+    assert re.search(r"\nTime \d+\.\d\d s \(first run, warm-up included\)\n", out)
     assert re.search(r"\nThe faster model, --model msnet2d: \d+\.\d\d s, EPE \d+", out)
+
+
+@pytest.mark.parametrize("faster", [True, False])
+def test_demo_says_when_the_faster_model_was_not_faster(msnet, tmp_path, monkeypatch, faster):
+    match, seconds = StereoMatcher.match, iter([2.0, 1.0 if faster else 3.0])
+
+    def timed(self, pair):
+        result = match(self, pair)
+        return replace(result, info=replace(result.info, seconds=next(seconds)))
+
+    monkeypatch.setattr(StereoMatcher, "match", timed)
+    opened = StereoMatcher.from_pretrained("sgbm")
+    monkeypatch.setattr("mobilestereonet.cli.engine.open_matcher", lambda *_: opened)
+    code, out, _ = msnet("demo", "-o", tmp_path)
+    assert code == 0
+    assert ("other programs use the cores: the times mean little" in out) is not faster
+
+
+def test_the_demos_ground_truth_scores_its_map(msnet, tmp_path):
+    _, out, _ = msnet("demo", "-o", tmp_path, "--model", "sgbm")
+    epe = re.search(r"EPE (\d+\.\d{3}) px", out)[1]
+    names = {"left": "left.png", "right": "right.png", "disparity": "truth.pfm"}
+    options = [text for key, name in names.items() for text in ("--set", f"{key}={name}")]
+    data = ("--data", "folder", "--root", tmp_path)
+    code, out, _ = msnet("evaluate", *data, *options, "--model", "sgbm")
+    assert code == 0
+    assert re.search(rf"all .*EPE, px .*{epe}", out)
+
+
+def test_the_version(msnet):
+    assert msnet("--version") == (0, f"mobilestereonet {__version__}\n", "")
+
+
+def test_help_of_the_model_fits_the_command(msnet):
+    for command, takes in (("predict", True), ("bench", True), ("export", False)):
+        assert ("onnx:FILE" in msnet(command, "--help")[1]) is takes
 
 
 def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):

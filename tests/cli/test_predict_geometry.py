@@ -59,6 +59,20 @@ def test_a_baseline_in_millimetres_is_asked_about(msnet, folder):
     assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres? 100 mm would be 0.1\n")
 
 
+def test_a_unit_without_effect_is_warned_of(msnet, folder):
+    numbers = ("--focal", 1000, "--baseline", 0.1, "--unit", "mm", "--depth", folder / "a.npy")
+    code, _, err = predict(msnet, folder, *numbers)
+    assert code == 0
+    assert err == (
+        "msnet: --unit is that of an OpenCV calibration, --calib FILE: it has no effect here\n"
+    )
+    file = ("--calib", folder / "calib.txt", "--depth", folder / "b.npy")
+    code, _, err = predict(msnet, folder, *file, "--unit", "mm")
+    assert code == 0
+    assert err.endswith("calib.txt: its format has a unit of its own: the unit mm has no effect\n")
+    assert predict(msnet, folder, *file)[2] == ""
+
+
 def test_left_right(msnet, folder):
     code, _, _ = predict(msnet, folder, "--left-right")
     assert code == 0
@@ -80,7 +94,9 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
     ("options", "message"),
     [
         (("--depth", "d.npy"), "depth and points need --calib FILE, or --focal and --baseline"),
-        (("--points", "p.ply", "--focal", 500), "both --focal and --baseline"),
+        (("--points", "p.ply", "--baseline", 0.1), "--baseline needs --focal, too"),
+        (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "cm"), "there are m, mm"),
+        (("--points", "p.ply", "--focal", 500), "--focal needs --baseline, too"),
         (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),
         (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
         (("--calib", "calib.txt", "--baseline", 1), "leave the options out"),

@@ -84,6 +84,7 @@ def shared_files(tmp_path_factory):
     _write_sequences(folder, left, right)
     scale = WIDTH / truth.shape[1]
     small = cv2.resize(truth * scale, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    write_pfm(demo / "truth.pfm", small.astype(np.float32))
     (folder / "my_pairs" / "disparity").mkdir()
     write_pfm(folder / "my_pairs" / "disparity" / "000.pfm", small.astype(np.float32))
     _write_calibrations(folder)

@@ -9,6 +9,7 @@ from mobilestereonet.engines.choose import open_standalone
 from mobilestereonet.engines.onnx_file import OnnxFileEngine
 from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference import StereoMatcher
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -65,6 +66,15 @@ def match(engine, left, right):
     return engine(engine.preprocessing(left), engine.preprocessing(right)).disparity
 
 
+def test_results_name_file_and_engine(tmp_path):
+    file = write(tmp_path / "own.onnx")
+    matcher = StereoMatcher.from_pretrained(f"onnx:{file},scale=1")
+    assert matcher.summary == "own.onnx on onnxruntime fp32"
+    assert StereoMatcher(OnnxFileEngine(f"onnx:{file},scale=1")).summary == (
+        "own on onnxruntime fp32"
+    )
+
+
 def test_a_foreign_network_by_options(tmp_path):
     file = write(tmp_path / "a,b.onnx", inputs=("x0", "x1"), scale=-1)
     mean, std = [123.675, 116.28, 103.53], [58.395, 57.12, 57.375]
@@ -74,7 +84,7 @@ def test_a_foreign_network_by_options(tmp_path):
         threads=1,
     )
     assert isinstance(engine, Engine)
-    assert (engine.name, engine.precision) == ("a,b", "fp32")
+    assert (engine.name, engine.model, engine.precision) == ("onnxruntime", "a,b", "fp32")
     assert (engine.size_multiple, engine.max_disparity) == (16, 128)
     assert not engine.has_confidence
     left, right = torch.rand(2, 2, 3, 20, 30)

@@ -194,12 +194,12 @@ def kitti(tmp_path):
     return tmp_path / "kitti"
 
 
-@pytest.mark.filterwarnings("ignore:KITTI2015")
+@pytest.mark.filterwarnings("ignore:kitti2015")
 def test_command(kitti, tmp_path, capsys):
     report, pictures = tmp_path / "report.json", tmp_path / "pictures"
     command("kitti2015", kitti, ["sgbm"], batch_size=2, json=report, pictures=pictures)
     text = capsys.readouterr().out
-    assert "sgbm on KITTI2015 (training)" in text
+    assert "sgbm on kitti2015 (training)" in text
     assert "per image" in text and "per pixel" in text and "fg" in text
     (record,) = json.loads(report.read_text())
     assert record["masks"]["all"]["per_image"]["epe"] == pytest.approx(4 / 3, abs=0.05)
@@ -207,7 +207,17 @@ def test_command(kitti, tmp_path, capsys):
     assert len(list((pictures / "sgbm").iterdir())) == 3
 
 
-@pytest.mark.filterwarnings("ignore:KITTI2015")
+@pytest.mark.filterwarnings("ignore:kitti2015")
+def test_the_legend_comes_once_at_the_end(kitti, capsys):
+    command("kitti2015", kitti, ["sgbm", "sgbm"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.count("sgbm on kitti2015") == 2
+    for words in ("noc (not occluded)", "occ (occluded)", "px-n: share", "Skipped: images"):
+        assert text.count(words) == 1
+    assert text.rindex("px-3") < text.index("noc (not occluded)")
+
+
+@pytest.mark.filterwarnings("ignore:kitti2015")
 def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monkeypatch):
     weights, report = tmp_path / "some.safetensors", tmp_path / "report.json"
     torch.manual_seed(0)
@@ -226,7 +236,7 @@ def test_command_with_a_network_under_the_authors_protocol(kitti, tmp_path, monk
     assert record["protocol"]["min_share"] == 0.1
 
 
-@pytest.mark.filterwarnings("ignore:KITTI2015")
+@pytest.mark.filterwarnings("ignore:kitti2015")
 def test_sgbm_is_not_padded_under_the_authors_protocol(kitti, tmp_path):
     reports = [tmp_path / "ours.json", tmp_path / "authors.json"]
     for authors, report in zip((False, True), reports, strict=True):
@@ -236,12 +246,12 @@ def test_sgbm_is_not_padded_under_the_authors_protocol(kitti, tmp_path):
     assert theirs["protocol"]["padding"] is None
 
 
-@pytest.mark.filterwarnings("ignore:KITTI2015")
+@pytest.mark.filterwarnings("ignore:kitti2015")
 def test_command_with_bad_input(kitti, tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(InputError, match="is a folder: name the"):
         patch.setattr(StereoSGBM, "__call__", lambda *_: pytest.fail("pairs were matched"))
         command("kitti2015", kitti, ["sgbm"], json=tmp_path)
-    with pytest.raises(InputError, match="unknown data set 'kitty'"):
+    with pytest.raises(InputError, match="unknown data set 'kitty': did you mean"):
         command("kitty", kitti, ["sgbm"])
     with pytest.raises(InputError, match="no option 'size'"):
         command("kitti2015", kitti, ["sgbm"], assignments=["size=H"])

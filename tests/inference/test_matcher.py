@@ -272,6 +272,17 @@ def test_from_pretrained(net, tmp_path, monkeypatch):
         StereoMatcher.from_pretrained("msnet2d", engine="abacus")
 
 
+def test_mistakes_are_told_with_the_way_out(net, tmp_path):
+    with pytest.raises(InputError, match=r"StereoMatcher\.from_pretrained\('msnet2d'\)"):
+        StereoMatcher("msnet2d")
+    save_weights(net, tmp_path / "net.safetensors")
+    for source in (tmp_path / "net.safetensors", "sgbm"):
+        with pytest.raises(InputError, match="no option 'confidnce': did you mean confidence"):
+            StereoMatcher.from_pretrained(source, confidnce=True)
+    with pytest.raises(InputError, match=r"no value 'estimatr' \(did you mean estimator"):
+        StereoMatcher.from_pretrained(tmp_path / "net.safetensors", estimatr="mode")
+
+
 def test_threads_are_the_refinements_too(net, monkeypatch):
     seen = []
 

@@ -42,4 +42,4 @@ def test_bad_input(msnet, files, tmp_path):
         average_weights(files)
     code, _, err = msnet("average", files[0], tmp_path / "none.safetensors", "-o", files[1])
     assert code == 2
-    assert "none.safetensors: neither embedded weights (msnet2d, msnet3d) nor a weights file" in err
+    assert "none.safetensors: no such file" in err

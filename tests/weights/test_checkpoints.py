@@ -2,12 +2,15 @@
 
 import argparse
 import json
+import warnings
 
 import pytest
 import torch
 from safetensors.torch import save_file
 
-from mobilestereonet import InputError, create_model, load_model
+from mobilestereonet import InputError, create_model, load_model, save_weights
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*a state dict does not hold its config")
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +76,8 @@ def test_what_a_state_dict_cannot_tell_is_asked_for(tmp_path):
         load_model(path, model="msnet5d")
     torch.save(create_model("msnet2d", max_disparity=64).state_dict(), path)
     with pytest.raises(
-        InputError, match=r"has shape .*: name its network, such as --model msnet2d"
+        InputError,
+        match=r"has shape .*: name its network, .* --model msnet2d, .* --set net.max_disp",
     ):
         load_model(path)
     with pytest.raises(InputError, match="do not fit msnet2d"):
@@ -82,6 +86,30 @@ def test_what_a_state_dict_cannot_tell_is_asked_for(tmp_path):
     torch.save({"encoder.0.weight": torch.zeros(3)}, path)
     with pytest.raises(InputError, match=r"'encoder.0.weight', are those of no registered network"):
         load_model(path)
+
+
+def test_a_coarse_pass_is_told_by_the_names(tmp_path):
+    net = create_model("msnet3d", coarse_pass=True)
+    path = tmp_path / "own.pth"
+    torch.save({f"module.{name}": value for name, value in net.state_dict().items()}, path)
+    assert same(net, load_model(path, model="msnet3d"))
+    with pytest.raises(InputError, match=r"fits msnet3d and .* alike: choose one.*--model msnet3d"):
+        load_model(path)
+    with pytest.raises(InputError, match=r"guide.* with coarse_pass=False: leave out"):
+        load_model(path, model="msnet3d", coarse_pass=False)
+
+
+def test_a_state_dict_without_its_config_is_warned_of(net, tmp_path):
+    torch.save(net.state_dict(), tmp_path / "own.pth")
+    said = r'own.pth: .* estimator="mean" by default; .* --set net.estimator=mode --refine$'
+    with pytest.warns(UserWarning, match=said) as caught:
+        load_model(tmp_path / "own.pth")
+    assert caught[0].filename == __file__
+    save_weights(net, tmp_path / "whole.safetensors")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_model(tmp_path / "own.pth", estimator="mode")
+        load_model(tmp_path / "whole.safetensors")
 
 
 def test_weights_that_are_not_finite_are_refused(net, tmp_path):

@@ -1,6 +1,7 @@
 """What `load_model` takes a name for, and folders in the hub's layout."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -44,7 +45,10 @@ def test_what_is_nowhere(tmp_path, monkeypatch):
         load_model("msnet2")
     with pytest.raises(InputError, match="no weights of 'baseline2d' come with the package"):
         load_model("baseline2d")
-    for path in (tmp_path / "no.safetensors", "runs/last.ckpt", "no.pth", "./org/net", tmp_path):
+    for path in (tmp_path / "no.safetensors", "runs/last.ckpt", "no.pth"):
+        with pytest.raises(FileNotFoundError, match=rf"^{re.escape(str(path))}: no such file$"):
+            load_model(path)
+    for path in ("./org/net", tmp_path):
         with pytest.raises(FileNotFoundError, match=r"no weights|neither embedded weights \(msnet"):
             load_model(path)
 

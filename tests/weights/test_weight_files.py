@@ -152,7 +152,7 @@ def test_damaged_and_foreign_files(net, tmp_path):
         assert "network config is no JSON" in message()
     lacking = {name: value for name, value in state.items() if name != "heads.1.score.weight"}
     save_file(lacking, path, metadata)
-    assert "1 tensors do not fit msnet2d, such as: heads.1.score.weight is missing" in message()
+    assert "1 tensor does not fit msnet2d, such as: heads.1.score.weight is missing" in message()
     save_file(state | {"more": torch.zeros(3)}, path, metadata)
     assert "more is unknown" in message()
     save_file(state | {"heads.1.score.weight": torch.zeros(3)}, path, metadata)

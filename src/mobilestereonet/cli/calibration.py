@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -53,6 +54,11 @@ def calibration_from(
     from mobilestereonet.data.camera_files import MAX_PLAUSIBLE_BASELINE_M
     from mobilestereonet.errors import InputError
 
+    if unit is not None and calib is None:
+        warnings.warn(
+            "--unit is that of an OpenCV calibration, --calib FILE: it has no effect here",
+            stacklevel=2,
+        )
     numbers = [value is not None for value in (focal, baseline)]
     if calib is not None:
         if any(numbers) or doffs:
@@ -63,6 +69,9 @@ def calibration_from(
             say = f"is it in metres? {baseline:g} mm would be {baseline / 1000:g}"
             print(f"msnet: a baseline of {baseline:g} m: {say}", file=sys.stderr)
         return Calibration(focal=focal, baseline=baseline, doffs=doffs)
-    if any(numbers) or doffs or calib_left is not None:
+    if any(numbers):
+        given, other = ("focal", "baseline") if focal is not None else ("baseline", "focal")
+        raise InputError(f"--{given} needs --{other}, too")
+    if doffs or calib_left is not None:
         raise InputError("a calibration needs --calib FILE, or both --focal and --baseline")
     return None

@@ -20,7 +20,9 @@ _SIZE = (256, 512)
 def cost(
     model: Annotated[
         str | None,
-        typer.Option(help="Network: a name, or a class of your own, my_net.py:MyNet. [msnet2d]"),
+        typer.Option(
+            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d."
+        ),
     ] = None,
     height: Annotated[int, typer.Option(help="Height of a view, in pixels.")] = _SIZE[0],
     width: Annotated[int, typer.Option(help="Width of a view, in pixels.")] = _SIZE[1],
@@ -49,13 +51,16 @@ def cost(
     elif plot:
         raise InputError("--plot draws a figure of the paper: give --paper too")
     else:
-        _print_model(model or "msnet2d", settings or [], height, width, as_json)
+        from mobilestereonet.inference import DEFAULT_MODEL
+
+        _print_model(model or DEFAULT_MODEL, settings or [], height, width, as_json)
 
 
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
     from mobilestereonet.costs import count_costs
     from mobilestereonet.nets import model_config
     from mobilestereonet.settings import override, parse_assignments
+    from mobilestereonet.weights import card, embedded_models
 
     values = {}
     for key, value in parse_assignments(settings).items():
@@ -86,6 +91,12 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
             for name, cost in parts.items()
         ],
     )
+    if model in embedded_models():
+        for field, value in card(model)["config"].items():
+            other = {**checked, field: value}
+            if field not in values and count_costs(model, height, width, **other) != parts:
+                text = f"{field}={json.dumps(value)}"
+                print(f"the embedded weights have {text}: --set net.{text} counts it")
 
 
 def _print_paper(plot: Path | None, as_json: bool) -> None:

@@ -26,15 +26,15 @@ def demo(
 ) -> None:
     """Match the real Motorcycle pair that scikit-image brings along, and score the result.
 
-    The pair and its calibration are written, too, to try other commands on. Without --model and
-    --weights both models are timed, the default and the faster one.
+    The pair, its calibration and ground truth are written, too, to try other commands on.
+    Without --model and --weights both models are timed, the default and the faster one.
     """
     import torch
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.data.calibration import write_calibration
-    from mobilestereonet.data.files import write_png
+    from mobilestereonet.data.files import write_pfm, write_png
     from mobilestereonet.data.motorcycle import CALIBRATION, motorcycle
     from mobilestereonet.data.sample import collate
     from mobilestereonet.inference import RunInfo, StereoMatcher, StereoResult, load_pair
@@ -55,19 +55,23 @@ def demo(
 
     result, info, scores = match(matcher)
     files = result.save(output, sample.name)
-    paths = [output / name for name in ("left.png", "right.png", "calib.txt")]
+    paths = [output / name for name in ("left.png", "right.png", "calib.txt", "truth.pfm")]
     write_png(paths[0], pair.left_image)
     write_png(paths[1], pair.right_image)
     write_calibration(paths[2], CALIBRATION, (pair.width, pair.height))
+    assert sample.disparity is not None and sample.valid is not None  # it has ground truth
+    write_pfm(paths[3], torch.where(sample.valid, sample.disparity, torch.inf).numpy())
 
     print(f"Middlebury's Motorcycle, {info}")
     print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
     print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
-    print(f"Time {info.seconds:.2f} s, the first run's")
+    print(f"Time {info.seconds:.2f} s (first run, warm-up included)")
     if model is None and weights is None:
         _, faster, others = match(open_matcher(_FASTER_MODEL, None, *options))
         figures = "EPE {epe:.3f} px, D1 {d1:.2f} %".format(**others.figures())
         print(f"The faster model, --model {_FASTER_MODEL}: {faster.seconds:.2f} s, {figures}")
+        if faster.seconds >= info.seconds:
+            print("other programs use the cores: the times mean little; try --threads 1")
     print(f"Picture {files['picture']}, left view beside the disparity (blue far, red near)")
     print(f"Disparity {', '.join(str(files[kind]) for kind in ('png', 'pfm', 'npy'))}")
-    print(f"Pair {', '.join(map(str, paths))}")
+    print(f"Pair and ground truth {', '.join(map(str, paths))}")

@@ -22,6 +22,9 @@ RECIPES = ("procedural", "procedural-plain", "paper-sceneflow", "paper-kitti2015
 
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
+UNITS = ("m", "mm")
+"""Units of lengths in a calibration; a test compares them with `data.camera_files`."""
+
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
 
@@ -58,6 +61,9 @@ def check_values(values: Mapping[str, Any]) -> None:
         for path in given if isinstance(given, list | tuple) else [given]:
             if isinstance(path, Path) and not path.exists():
                 raise FileNotFoundError(f"{path}: no such file")
+    weights = values.get("weights")
+    if isinstance(weights, Path) and weights.suffix in _WEIGHTS_ENDINGS and not weights.exists():
+        raise FileNotFoundError(f"{weights}: no such file")
     for name in _FOLDERS:
         folder = values.get(name)
         if isinstance(folder, Path) and not folder.is_dir():
@@ -68,6 +74,7 @@ def check_values(values: Mapping[str, Any]) -> None:
     if "runtime" in values:
         _check_choice("--runtime", values["runtime"], ENGINES)
         _check_choice("--precision", values.get("precision"), PRECISIONS)
+    _check_choice("--unit", values.get("unit"), UNITS)
     device = values.get("device")
     if device is not None and not re.fullmatch(_DEVICE, device):
         raise InputError(f"--device {device}: write it as auto, cpu, cuda or cuda:1")

@@ -11,14 +11,16 @@ if TYPE_CHECKING:
     from mobilestereonet.inference import StereoMatcher
     from mobilestereonet.nets.model import StereoModel
 
+_SOURCES = (
+    "Name of a model (see msnet models), weights file or folder, org/name on the Hugging Face hub"
+)
+_DEFAULT = "Default: msnet3d, or what the weights hold; msnet2d is the faster one."
+
 Model: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="Name of a model (see msnet models), weights file or folder, org/name on the "
-        "Hugging Face hub; where pairs are matched, sgbm and onnx:FILE, too. Default: msnet3d, or "
-        "what the weights hold; msnet2d is the faster one."
-    ),
+    str | None, typer.Option(help=f"{_SOURCES}; sgbm or onnx:FILE. {_DEFAULT}")
 ]
+Network: TypeAlias = Annotated[str | None, typer.Option(help=f"{_SOURCES}. {_DEFAULT}")]
+"""A model that is a network of PyTorch, as an export needs it."""
 Weights: TypeAlias = Annotated[
     Path | None, typer.Option(help="Weights file of this package, or checkpoint of the authors.")
 ]

@@ -113,6 +113,7 @@ def evaluate(
                 pictures=None if pictures is None else pictures / matcher.model,
             )
         )
-        Console().print(evaluations[-1])
+        Console().print(evaluations[-1].table(legend=False))
+    Console().print(evaluations[-1].scores.legend())
     if json is not None:
         save_evaluations(evaluations, json)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Model, Weights
+from mobilestereonet.cli.engine import Network, Weights
 from mobilestereonet.errors import InputError
 
 _SIZE = (256, 512)
@@ -18,7 +18,7 @@ def export(
     format_: Annotated[
         str | None, typer.Argument(metavar="FORMAT", help="What to write; --list shows them.")
     ] = None,
-    model: Model = None,
+    model: Network = None,
     weights: Weights = None,
     output: Annotated[
         Path | None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,11 @@ def read_calibration(
     )
     if is_opencv_file(text) or not entries.keys().isdisjoint(_ROS_PROJECTION):
         entries = read_camera_file(path)
+    of_opencv = is_opencv_file(text) and entries.keys().isdisjoint({"cam0", *_ROS_PROJECTION})
+    if unit is not None and not of_opencv:
+        warnings.warn(
+            f"{path}: its format has a unit of its own: the unit {unit} has no effect", stacklevel=2
+        )
     other = None if left is None else read_camera_file(left)
     try:
         if "cam0" in entries:

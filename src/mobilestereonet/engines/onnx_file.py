@@ -48,12 +48,13 @@ class OnnxFileEngine:
             an option is unknown, missing or wrong.
 
     Attributes:
-        name: Name of the file without its ending.
+        model: Name of the file without its ending.
         path: The file.
         options: What it expects.
         fixed_size: Height and width that the file takes; None if it takes any.
     """
 
+    name = "onnxruntime"
     prefix = "onnx:"
     has_confidence = False
     min_side = 1
@@ -66,7 +67,7 @@ class OnnxFileEngine:
             raise FileNotFoundError(f"{self.path}: no such file")
         if threads is not None and threads < 1:
             raise InputError(f"threads must be at least 1, got {threads}")
-        self.name = self.path.stem
+        self.model = self.path.stem
         self.threads = threads
         self._session, self.device = _open(self.path, threads, device)
         metadata = dict(self._session.get_modelmeta().custom_metadata_map)

@@ -91,10 +91,13 @@ class Evaluation:
             "masks": scores["masks"],
         }
 
+    def table(self, legend: bool = True) -> Table:
+        """Table of `rich` with the figures, and below it what they mean."""
+        title = f"{self.model} on {self.data}, {self.seconds_per_image:.3f} s per image"
+        return self.scores.table(title, legend)
+
     def __rich__(self) -> Table:
-        return self.scores.table(
-            f"{self.model} on {self.data}, {self.seconds_per_image:.3f} s per image"
-        )
+        return self.table()
 
 
 def save_evaluations(evaluations: Sequence[Evaluation], path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +88,11 @@ class StereoMatcher:
                 device; if both ``padding`` and ``tile`` are given; or if the engine has no
                 confidence, which ``confidence`` and ``refine`` need.
         """
+        if isinstance(model, str | Path):
+            raise InputError(
+                f"StereoMatcher takes a network or an engine, got {str(model)!r}: names and files "
+                f"go to StereoMatcher.from_pretrained({str(model)!r})"
+            )
         for what, size in (("padding", padding), ("tile", tile)):
             if size not in ("auto", None) and not (isinstance(size, Sequence) and len(size) == 2):
                 raise InputError(f"{what} must be (height, width), got {size!r}")
@@ -110,7 +118,7 @@ class StereoMatcher:
                 f"{self.engine.name} has no confidence: leave out confidence, min-confidence and "
                 "refine; left-right works"
             )
-        self.model = name or self.engine.name
+        self.model: str = name or getattr(self.engine, "model", self.engine.name)
         self.padding = padding
         self.tile = tile
         self.confidence = confidence
@@ -173,7 +181,8 @@ class StereoMatcher:
         }
         values = {**(config or {}), **overrides}
         if isinstance(source, str):
-            alone = open_standalone(source, threads=threads, device=device, options=values)
+            with _misspelt_options(cls.from_pretrained, overrides):
+                alone = open_standalone(source, threads=threads, device=device, options=values)
             if alone is not None:
                 given = {"model": model, "revision": revision}
                 given |= {"engine": engine, "precision": precision}
@@ -182,7 +191,8 @@ class StereoMatcher:
                     raise InputError(f"{source} runs by itself: leave {', '.join(chosen)} out")
                 name = Path(source.partition(",")[0]).name  # without an ONNX file's options
                 return cls(alone, name=name, **wanted)
-        net = load_model(source, model=model, revision=revision, config=values)
+        with _misspelt_options(cls.from_pretrained, overrides):
+            net = load_model(source, model=model, revision=revision, config=values)
         return cls(
             net,
             name=model,
@@ -378,6 +388,29 @@ class StereoMatcher:
             refine=self.refine,
             confidence=confidence,
         )
+
+
+@contextmanager
+def _misspelt_options(function: Callable[..., Any], overrides: Mapping[str, Any]) -> Iterator[None]:
+    """Context in which further arguments are used, which may be meant for the function itself.
+
+    Args:
+        function: The function that took them.
+        overrides: They by name.
+
+    Raises:
+        InputError: If the context fails and one is nearly the name of a parameter.
+    """
+    try:
+        yield
+    except (InputError, TypeError) as error:
+        own = list(signature(function).parameters)
+        for name in overrides:
+            if near := difflib.get_close_matches(name, own, n=1, cutoff=0.75):
+                raise InputError(
+                    f"from_pretrained has no option {name!r}: did you mean {near[0]}? ({error})"
+                ) from error
+        raise
 
 
 def _device_of(net: StereoModel) -> torch.device:

@@ -86,11 +86,12 @@ def load_pair(left: ImageLike, right: ImageLike) -> StereoPair:
 
 def _load(view: ImageLike, name: str) -> tuple[Tensor, Picture]:
     """A view as (3, H, W) float32 and as (H, W, 3) uint8."""
+    image = read_image(view) if isinstance(view, str | Path) else None  # its errors name the file
     try:
         if isinstance(view, Tensor):
             tensor, array = _from_tensor(view), None
         else:
-            array = read_image(view) if isinstance(view, str | Path) else _to_array(view)
+            array = image if image is not None else _to_array(view)
             tensor = image_to_tensor(array)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None

@@ -13,6 +13,7 @@ from mobilestereonet.nets.model import (
 from mobilestereonet.nets.registry import (
     ModelInfo,
     build_model,
+    free_fields,
     is_model,
     list_models,
     model_config,
@@ -30,6 +31,7 @@ __all__ = [
     "VolumeModel",
     "VolumeOutputs",
     "build_model",
+    "free_fields",
     "is_model",
     "list_models",
     "model_config",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -75,6 +76,18 @@ class StereoModel(nn.Module):
     preprocessing: ClassVar[Preprocessing] = IMAGENET
     size_multiple: int = 16
     min_side: int = 1
+
+    @classmethod
+    def config_of_state(cls, config: Any, names: Container[str]) -> dict[str, Any]:
+        """Values of the config that a state dict's names tell; none by default.
+
+        A state dict without a config is loaded into a network with these values.
+
+        Args:
+            config: The registered config, whose values hold where the names tell nothing.
+            names: Names of the tensors.
+        """
+        return {}
 
     def __init__(self, config: Any) -> None:
         super().__init__()

@@ -8,6 +8,7 @@ and the regression; they follow the authors' release.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -54,6 +55,11 @@ class MobileStereoNet(VolumeModel):
         if config.coarse_pass:
             self.guide = Guide(config.width)
         self._guided = True
+
+    @classmethod
+    def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
+        """A guide is that of a coarse pass, see `StereoModel`."""
+        return {"coarse_pass": config.dims == 3 and "guide.weight" in names}
 
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""

@@ -201,8 +201,14 @@ def is_model(config: Any, name: str) -> bool:
     named = model_config(name)
     if type(config) is not type(named):
         return False
-    free = getattr(named, "free_fields", ("max_disparity",))
-    return bool(named == replace(config, **{key: getattr(named, key) for key in free}))
+    kept = {key: getattr(named, key) for key in free_fields(named)}
+    return bool(named == replace(config, **kept))
+
+
+def free_fields(config: Any) -> tuple[str, ...]:
+    """Fields of a config that do not change the network's name; its class may name them."""
+    fields: tuple[str, ...] = getattr(config, "free_fields", ("max_disparity",))
+    return fields
 
 
 def model_name(config: Any) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,11 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import (
     StereoModel,
     build_model,
+    free_fields,
     is_model,
     list_models,
     model_config,
+    model_info,
     model_name,
 )
 from mobilestereonet.settings import differences
@@ -43,7 +47,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
     """
     name = _network_name(weights, model)
     model_config(name)  # an unknown name has an error of its own
-    values = _config_values(name, weights.config)
+    bare = weights.model is None and not weights.config
+    values = _told(name, weights.state) | _config_values(name, weights.config)
     try:
         config = model_config(name, **values)
     except (InputError, TypeError, ValueError) as error:
@@ -71,7 +76,21 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
         )
     counters = {key: value for key, value in own.items() if key.endswith(COUNTER)}
     net.load_state_dict(counters | state)
+    if bare and not overrides:
+        _warn_of_defaults(weights.source, net, values)
     return net
+
+
+def _warn_of_defaults(source: str, net: StereoModel, told: dict[str, Any]) -> None:
+    """Say which values a state dict without its config was given, and how to give others."""
+    free = [name for name in free_fields(net.config) if name not in told]
+    defaults = ", ".join(f"{name}={json.dumps(getattr(net.config, name))}" for name in free)
+    other = "estimator=mode --refine" if "estimator" in free else f"{free[0]}=VALUE"
+    warnings.warn(
+        f"{source}: a state dict does not hold its config: {defaults} by default; give what it was "
+        f"trained with, such as --set net.{other}",
+        stacklevel=4,
+    )
 
 
 def _network_name(weights: WeightsFile, model: str | None) -> str:
@@ -105,7 +124,7 @@ def _fitting_network(weights: WeightsFile) -> str:
     if not fitting:
         raise InputError(
             f"{weights.source}: {_unlike(weights.state)}: name its network, such as --model "
-            f"{_resembling(weights.state) or 'my_net.py:MyNet'}"
+            f"{_named_with_values(_resembling(weights.state))}"
         )
     if any(config != configs[0] for config in configs):
         raise InputError(
@@ -113,6 +132,19 @@ def _fitting_network(weights: WeightsFile) -> str:
             f"{fitting[0]}"
         )
     return fitting[0]
+
+
+def _named_with_values(name: str | None) -> str:
+    """Example of ``--model`` for what fits no registered config, with another value of it."""
+    if name is None:
+        return "my_net.py:MyNet"
+    return f"{name}, with the values of its config, such as --set net.max_disparity=VALUE"
+
+
+def _told(name: str, state: dict[str, Tensor]) -> dict[str, Any]:
+    """Values of a network's config that the names of a state dict tell."""
+    state = strip_prefixes(state, registered_shapes(name))
+    return model_info(name).network.config_of_state(model_config(name), state)
 
 
 def _config_values(name: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -140,7 +172,8 @@ def _misfit(
         example = f"{key} is unknown"
     else:
         example = f"{key} has shape {tuple(found[key])}, not {tuple(expected[key])}"
-    text = f"{len(wrong)} tensors do not fit {name}, such as: {example}"
+    many = "tensor does not" if len(wrong) == 1 else "tensors do not"
+    text = f"{len(wrong)} {many} fit {name}, such as: {example}"
     if overrides:
         given = ", ".join(f"{key}={value!r}" for key, value in overrides.items())
         return f"{text}, with {given}: leave out what these weights were not trained with"
@@ -152,18 +185,21 @@ def _unlike(state: dict[str, Tensor]) -> str:
     like = _resembling(state)
     if like is None:
         return f"its tensors, such as {min(state)!r}, are those of no registered network"
-    expected = registered_shapes(like)
+    expected = registered_shapes(like, **_told(like, state))
     return _misfit(strip_prefixes(state, expected), expected, like, {})
 
 
 def _fits(state: dict[str, Tensor], name: str) -> bool:
-    expected = registered_shapes(name)
+    expected = registered_shapes(name, **_told(name, state))
     return shapes(strip_prefixes(state, expected)) == expected
 
 
 def _resembling(state: dict[str, Tensor], better_than: float = 0.0) -> str | None:
     """The registered network that a state dict is most like; None if it is like none."""
-    likeness = {name: _likeness(state, registered_shapes(name)) for name in list_models()}
+    likeness = {
+        name: _likeness(state, registered_shapes(name, **_told(name, state)))
+        for name in list_models()
+    }
     best = max(likeness, key=lambda name: likeness[name])
     return best if likeness[best] > max(better_than, _RESEMBLANCE) else None
 

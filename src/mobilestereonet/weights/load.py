@@ -105,6 +105,8 @@ def _find(name: str | Path, revision: str | None) -> WeightsFile:
         return replace(_read_folder(download(text, revision)), source=text)
     if isinstance(name, str) and path.name == text and path.suffix not in _ENDINGS:
         embedded_file(text)  # says what is wrong with the name of a network
+    if path.suffix in _ENDINGS:
+        raise FileNotFoundError(f"{name}: no such file")
     raise FileNotFoundError(
         f"{name}: neither embedded weights ({', '.join(embedded_models())}) nor a weights file or "
         "folder"

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from mobilestereonet.nets import StereoModel, model_info
+from mobilestereonet.nets import StereoModel, model_config, model_info
 from mobilestereonet.weights.files import COUNTER
 
 _FILLING = {"fill_", "kaiming_normal_", "kaiming_uniform_", "normal_", "uniform_", "zero_"}
@@ -39,10 +39,15 @@ def count_parameters(name: str) -> int:
     return sum(parameter.numel() for parameter in net.parameters())
 
 
-def registered_shapes(name: str) -> dict[str, torch.Size]:
-    """Shapes by name of the state dict of a registered network."""
-    info: Any = model_info(name)
-    return _registered_shapes(info.network, info.config)
+def registered_shapes(name: str, **values: Any) -> dict[str, torch.Size]:
+    """Shapes by name of the state dict of a registered network.
+
+    Args:
+        name: The network.
+        **values: Values of its config to change.
+    """
+    network: Any = model_info(name).network
+    return _registered_shapes(network, model_config(name, **values))
 
 
 @lru_cache(maxsize=256)

@@ -62,6 +62,8 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             official one.
     """
 
+    label: ClassVar[str]
+    """What the class is registered as, see `register_data_set`."""
     splits: ClassVar[Mapping[str, int | None]]
     withheld: ClassVar[frozenset[str]] = frozenset()
 
@@ -83,8 +85,9 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         self._check_count(strict)
 
     def __str__(self) -> str:
-        """Class and split, for messages."""
-        return f"{type(self).__name__} ({self.split})"
+        """Name and split, for messages."""
+        name = vars(type(self)).get("label", type(self).__name__)
+        return f"{name} ({self.split})"
 
     @abstractmethod
     def patterns(self) -> Sequence[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,6 +31,7 @@ def register_data_set(name: str) -> Callable[[_Scanner], _Scanner]:
         if (known.__module__, known.__qualname__) != (scanner.__module__, scanner.__qualname__):
             raise InputError(f"data set {name!r} is {known.__name__} already: choose another name")
         _REGISTRY[name] = scanner
+        scanner.label = name
         return scanner
 
     return register
@@ -57,6 +59,8 @@ def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
     """
     known = data_sets()
     if name not in known:
-        raise InputError(f"unknown data set {name!r}, choose one of {', '.join(known)}")
+        near = difflib.get_close_matches(name.lower(), known)
+        hint = f"did you mean {', '.join(near)}? There are" if near else "there are"
+        raise InputError(f"unknown data set {name!r}: {hint} {', '.join(known)}")
     options = check_arguments(known[name].__init__, options, name, reserved=["root"])
     return known[name](root, **options)
