@@ -234,9 +234,17 @@ def test_the_table_says_the_protocol():
     with console.capture() as capture:
         console.print(scores)
     text = " ".join(capture.get().split())
-    for part in ("per image", "per pixel", "noc", "occ", "EPE, px", "px-3, %", "2.000"):
+    for part in (
+        "per image",
+        "per pixel",
+        "noc (not occluded)",
+        "occ (occluded)",
+        "EPE, px",
+        "px-3, %",
+        "2.000",
+    ):
         assert part in text
-    assert "0 < d < 192" in text and "10 %" in text
+    assert "0 < d < 192" in text and "Skipped: images where fewer than 10 %" in text
     assert str(scores).split() == text.split()
 
 

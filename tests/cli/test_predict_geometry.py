@@ -94,7 +94,7 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
     ("options", "message"),
     [
         (("--depth", "d.npy"), "depth and points need --calib FILE, or --focal and --baseline"),
-        (("--points", "p.ply", "--baseline", 0.1), "--baseline needs --focal, too"),
+        (("--points", "p.ply", "--baseline", 1), "--baseline needs --focal, too"),
         (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "cm"), "there are m, mm"),
         (("--points", "p.ply", "--focal", 500), "--focal needs --baseline, too"),
         (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),

@@ -13,6 +13,8 @@ from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
 
 from extras import need_extra
 from mobilestereonet.cli.main import app, main
+from mobilestereonet.export import FORMATS
+from mobilestereonet.inference import DEFAULT_MODEL
 from mobilestereonet.settings import parse_assignments
 from mobilestereonet.training.recipe import get_recipe, override
 
@@ -69,6 +71,29 @@ def test_commands_exist(page):
             if "recipe" in given:
                 recipe = get_recipe(given["recipe"] or "procedural")
                 override(recipe, parse_assignments(given["assignments"] or []))
+
+
+def test_the_exported_files_are_those_that_the_text_uses():
+    page = ROOT / "docs" / "export.md"
+    written = set()
+    for line in next(
+        block for block in blocks(page) if "msnet export onnx" in block.text
+    ).text.split("\n"):
+        words, _, comment = line.partition("#")
+        if comment and "--list" not in words:
+            _, rest = find_command(shlex.split(words)[1:])
+            model = rest[rest.index("--model") + 1] if "--model" in rest else DEFAULT_MODEL
+            int8 = "-int8" if "int8" in rest else ""
+            name = model + int8 + FORMATS[rest[0]].ending
+            assert comment.split()[0].rstrip(":") == name
+            written.add(name)
+    used = {
+        name
+        for block in blocks(page)
+        if block.language == "python"
+        for name in re.findall(r'"(msnet\w+\.\w+)"', block.text)
+    }
+    assert used and used <= written
 
 
 @pages

@@ -212,9 +212,9 @@ def test_the_legend_comes_once_at_the_end(kitti, capsys):
     command("kitti2015", kitti, ["sgbm", "sgbm"])
     text = " ".join(capsys.readouterr().out.split())
     assert text.count("sgbm on kitti2015") == 2
-    for words in ("noc (not occluded)", "occ (occluded)", "px-n: share", "Skipped: images"):
+    for words in ("fg (foreground)", "bg (background)", "px-n: share", "Skipped: images"):
         assert text.count(words) == 1
-    assert text.rindex("px-3") < text.index("noc (not occluded)")
+    assert text.rindex("px-3") < text.index("fg (foreground)")
 
 
 @pytest.mark.filterwarnings("ignore:kitti2015")

@@ -120,7 +120,10 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
         (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume .* need --frames"),
         (("video", "left", "right", "--frames", "new", "--beside"), "--beside needs --output"),
         (("video", "left", "right", "-o", "v.gif"), "v.gif: videos are written as .mp4"),
-        (("video", "left", "right", "--frames", "new", "--focal", "9"), "both --focal and"),
+        (
+            ("video", "left", "right", "--frames", "new", "--focal", "9"),
+            "--focal needs --baseline, too",
+        ),
         (("video", "left", "right", "--frames", "text.avi/new"), "Not a directory"),
         (
             ("batch", "left/view_1.png", "right/view_1.png", "-o", "new"),

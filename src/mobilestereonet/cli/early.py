@@ -74,7 +74,8 @@ def check_values(values: Mapping[str, Any]) -> None:
     if "runtime" in values:
         _check_choice("--runtime", values["runtime"], ENGINES)
         _check_choice("--precision", values.get("precision"), PRECISIONS)
-    _check_choice("--unit", values.get("unit"), UNITS)
+    if values.get("unit") not in (None, *UNITS):
+        raise InputError(f"--unit {values['unit']}: there are {', '.join(UNITS)}")
     device = values.get("device")
     if device is not None and not re.fullmatch(_DEVICE, device):
         raise InputError(f"--device {device}: write it as auto, cpu, cuda or cuda:1")

@@ -118,7 +118,7 @@ class StereoMatcher:
                 f"{self.engine.name} has no confidence: leave out confidence, min-confidence and "
                 "refine; left-right works"
             )
-        self.model: str = name or getattr(self.engine, "model", self.engine.name)
+        self.model = name or str(getattr(self.engine, "model", self.engine.name))
         self.padding = padding
         self.tile = tile
         self.confidence = confidence
