@@ -65,7 +65,7 @@ def test_rectify(msnet, folder):
     ("options", "message"),
     [
         ((), "60 m is implausible"),
-        (("--unit", "inch"), "a unit is one of m, mm, got 'inch'"),
+        (("--unit", "inch"), "--unit inch: there are m, mm"),
         (("--unit", "mm", "--calib", "left.png"), "left.png: not a camera file"),
         (("--unit", "mm", "--calib", "none.yml"), "none.yml: no such file"),
         (("--unit", "mm", "--calib", "swapped.yml"), "are the cameras swapped"),

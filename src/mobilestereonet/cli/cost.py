@@ -94,7 +94,7 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
     if model in embedded_models():
         for field, value in card(model)["config"].items():
             other = {**checked, field: value}
-            if field not in values and count_costs(model, height, width, **other) != parts:
+            if field not in values and count_costs(model, height, width, other) != parts:
                 text = f"{field}={json.dumps(value)}"
                 print(f"the embedded weights have {text}: --set net.{text} counts it")
 
