@@ -8,8 +8,11 @@ import pytest
 from mobilestereonet.cli import early
 from mobilestereonet.cli.early import ENGINES, UNITS, check_values
 from mobilestereonet.data import camera_files
+from mobilestereonet.data.depth_files import DEPTH_FORMATS
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
+from mobilestereonet.export import FORMATS
+from mobilestereonet.inference.geometry import POINT_FORMATS
 from mobilestereonet.training import recipe
 
 PROGRAM = """
@@ -42,6 +45,7 @@ def views(tmp_path):
         (("--model", "my_net.py:MyNet"), "there is no file my_net.py"),
         (("--model", "onnx:absent.onnx"), "there is no file absent.onnx"),
         (("--calib", "absent.txt"), "absent.txt: no such file"),
+        (("--depth", "depth.jpg"), "depth.jpg: depth is written as .png, .npy, .tif, .tiff"),
         (("--weights", "nope.ckpt"), "msnet: nope.ckpt: no such file"),
         (("--unit", "cm"), "--unit cm: "),
     ],
@@ -68,6 +72,9 @@ def test_an_absent_view(command, tmp_path):
 def test_the_engines_are_those_that_there_are():
     assert set(ENGINES) == set(choose.ENGINES)
     assert set(early.RECIPES) == set(recipe.RECIPES)
+    assert set(early.FORMATS) == set(FORMATS)
+    endings = {"depth": DEPTH_FORMATS, "points": POINT_FORMATS}
+    assert endings == early.OUTPUT_ENDINGS
 
 
 @pytest.mark.parametrize(
@@ -86,6 +93,20 @@ def test_mistakes_of_train(tmp_path, arguments, message):
 
 def test_the_units_are_those_that_there_are():
     assert set(UNITS) == set(camera_files._METRES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("export", "onx"), "format onx: did you mean onnx? There are onnx, openvino"),
+        (("video", "in.mp4"), "nothing to write: give --output VIDEO, --frames FOLDER or both"),
+    ],
+)
+def test_mistakes_of_other_commands(arguments, message):
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
 
 
 def test_training_takes_networks_without_weights():

@@ -20,6 +20,12 @@ ENGINES = ("torch", "onnxruntime", "openvino")
 RECIPES = ("procedural", "procedural-plain", "paper-sceneflow", "paper-kitti2015")
 """Names of the recipes; a test compares them with `training.recipe`."""
 
+FORMATS = ("onnx", "openvino", "executorch", "litert", "pt2", "coreml")
+"""Names of the formats of ``msnet export``; a test compares them with `export`."""
+
+OUTPUT_ENDINGS = {"depth": (".png", ".npy", ".tif", ".tiff"), "points": (".ply", ".glb")}
+"""Endings of files that depth and points are written to; a test compares them with their rooms."""
+
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
 UNITS = ("m", "mm")
@@ -71,6 +77,12 @@ def check_values(values: Mapping[str, Any]) -> None:
     for name in ("settings", "assignments"):
         parse_assignments(values.get(name) or [])
     _check_choice("--recipe", values.get("recipe"), RECIPES)
+    _check_choice("format", values.get("format_"), FORMATS)
+    for name, endings in OUTPUT_ENDINGS.items():
+        for path in values.get(name) or ():
+            if isinstance(path, Path) and path.suffix.lower() not in endings:
+                verb = "are" if name == "points" else "is"
+                raise InputError(f"{path}: {name} {verb} written as {', '.join(endings)}")
     if "runtime" in values:
         _check_choice("--runtime", values["runtime"], ENGINES)
         _check_choice("--precision", values.get("precision"), PRECISIONS)

@@ -62,23 +62,25 @@ def video(
     """Match a video, a camera or an image sequence. Ctrl-C ends it and keeps what there is."""
     import time
 
+    from mobilestereonet.errors import InputError
+
+    # Told before the imports, which take long.
+    if output is None and frames is None:
+        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER or both")
+    if output is None and beside:
+        raise InputError("--beside needs --output VIDEO, whose pictures it widens")
+
     from mobilestereonet.cli.calibration import calibration_from
     from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.cli.progress import progress_bar, report_skipped
-    from mobilestereonet.errors import InputError
     from mobilestereonet.interruption import sigint_sets_event
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
     from mobilestereonet.streams.video_files import check_video_file
 
-    if output is None and frames is None:
-        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER or both")
     calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
     if frames is None and (resume or calibration is not None):
         raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
-    if output is None:
-        if beside:
-            raise InputError("--beside needs --output VIDEO, whose pictures it widens")
-    else:
+    if output is not None:
         check_video_file(output)
         for source in (left, right or left):
             if Path(source.removeprefix("file://")).resolve() == output.resolve():

@@ -87,9 +87,11 @@ def match_on_ray(
         ray.init(address=address, log_to_driver=False, logging_level="ERROR", **local)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InputError(f"no Ray cluster at {address!r}: {error}") from error
+    logger, context = logging.getLogger("ray.data"), ray.data.DataContext.get_current()
+    level, bars = logger.level, context.enable_progress_bars
     try:
-        logging.getLogger("ray.data").setLevel(logging.ERROR)
-        ray.data.DataContext.get_current().enable_progress_bars = False
+        logger.setLevel(logging.ERROR)
+        context.enable_progress_bars = False
         tasks = -(-len(todo) // PAIRS_PER_TASK)
         statuses = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
         statuses = statuses.map_batches(
@@ -106,4 +108,6 @@ def match_on_ray(
         # What Ray tells ends with the line that the worker's own error had.
         raise InputError(f"a worker failed: {str(error).strip().splitlines()[-1]}") from error
     finally:
+        logger.setLevel(level)
+        context.enable_progress_bars = bars
         ray.shutdown()
