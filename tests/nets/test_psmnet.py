@@ -1,7 +1,6 @@
 """Parity of PSMNet with its authors' code: expected outputs in float64 for weights made here."""
 
 import re
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
+from parity import fill, pair
 
 # Every third row and column of the outputs for views of 256 x 256 and 64 disparities.
 OUTPUTS = np.load(Path(__file__).parents[1] / "data/psmnet_seed7_h256_w256_d64.npz")
@@ -42,45 +42,29 @@ def released_key(key):
     return re.sub(r"(classif\w+)\.conv\.", r"\1.0.", key).replace(".score.", ".2.")
 
 
-def drawn(key, shape, basic):
-    """A tensor from a stream seeded by the key's name, with factors that keep the softmax soft."""
-    rng = np.random.RandomState(zlib.crc32(key.encode()))
-    if key.endswith("running_var"):
-        value = rng.uniform(0.5, 1.5, shape)
-    elif key.endswith("running_mean"):
-        value = 0.1 * rng.standard_normal(shape)
-    elif len(shape) == 1 and key.endswith("weight"):
-        value = rng.uniform(0.7, 1.3, shape)
-    elif len(shape) == 1:
-        value = 0.1 * rng.standard_normal(shape)
-    else:
-        value = np.sqrt(2.0 / np.prod(shape[1:])) * rng.standard_normal(shape)
-        if key.startswith("classif") and key.endswith("2.weight"):
-            value *= 0.5
-    value = np.float32(value)
-    if re.search(r"layer\d+\.\d+\.conv2\.1\.(weight|bias)$", key):
-        value = value * np.float32(0.2)
-    if key.endswith("lastconv.2.weight"):
-        value = value * np.float32(0.1)
-    if basic and re.match(r"dres[1-4]\.2\.1\.(weight|bias)$", key):
-        value = value * np.float32(0.5)
-    return torch.from_numpy(value)
+FACTORS = [
+    (r"layer\d+\.\d+\.conv2\.1\.(weight|bias)$", 0.2),
+    (r"lastconv\.2\.weight$", 0.1),
+]
+"""Factors of the drawn weights that keep the softmax soft, by the released names."""
+
+BASIC_FACTORS = [(r"^dres[1-4]\.2\.1\.(weight|bias)$", 0.5)]
 
 
 def network(name, **fields):
     net = build_model(name, max_disparity=64, **fields)
-    basic = name == "psmnet-basic"
-    state = {
-        key: drawn(released_key(key), value.shape, basic) if value.is_floating_point() else value
-        for key, value in net.state_dict().items()
-    }
-    net.load_state_dict(state)
+    own = net.state_dict()
+    state = fill({released_key(key): value.shape for key, value in own.items()})
+    for key, value in state.items():
+        for pattern, factor in FACTORS + BASIC_FACTORS * (name == "psmnet-basic"):
+            if re.search(pattern, key):
+                value *= factor
+    net.load_state_dict({key: state[released_key(key)] for key in own})
     return net.double().eval()
 
 
 def views():
-    pair = np.random.RandomState(7).standard_normal((2, 1, 3, 256, 256)).astype(np.float32)
-    return torch.from_numpy(pair).double()
+    return pair(7, 256, 256).double()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, cast
@@ -20,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.grad import conv2d_weight
 
+from mobilestereonet.accelerate.layout import channels_last, empty_channels_last
 from mobilestereonet.accelerate.modules import replace_modules
 
 
@@ -130,22 +130,13 @@ def depthwise_conv3d(x: Tensor, weight: Tensor, stride: int) -> Tensor:
         with torch.cuda.device(x.device):
             return convolve(x, weight, stride)
     y = F.conv3d(x, weight, stride=stride, padding=1, groups=x.shape[1])
-    return y.contiguous(memory_format=torch.channels_last_3d)
+    return channels_last(y)
 
 
 @depthwise_conv3d.register_fake
 def _(x: Tensor, weight: Tensor, stride: int) -> Tensor:
     size = [-(-side // stride) for side in x.shape[2:]]
-    return _channels_last_empty(x, (*x.shape[:2], *size))
-
-
-def _channels_last_empty(like: Tensor, shape: Sequence[int]) -> Tensor:
-    return torch.empty(
-        tuple(shape),
-        dtype=like.dtype,
-        device=like.device,
-        memory_format=torch.channels_last_3d,
-    )
+    return empty_channels_last(x, (*x.shape[:2], *size))
 
 
 @torch.library.custom_op("mobilestereonet::depthwise_conv3d_backward", mutates_args=())
@@ -157,15 +148,14 @@ def _depthwise_backward(
 
         with torch.cuda.device(x.device):
             return convolve_backward(grad, x, weight, stride)
-    grad = grad.contiguous(memory_format=torch.channels_last_3d)
+    grad = channels_last(grad)
     grad_x = _input_gradient(grad, weight, x.shape, stride)
-    grad_x = grad_x.contiguous(memory_format=torch.channels_last_3d)
-    return grad_x, _weight_gradient(grad, x, stride).contiguous()
+    return channels_last(grad_x), _weight_gradient(grad, x, stride).contiguous()
 
 
 @_depthwise_backward.register_fake
 def _(grad: Tensor, x: Tensor, weight: Tensor, stride: int) -> tuple[Tensor, Tensor]:
-    return _channels_last_empty(x, x.shape), weight.new_empty(weight.shape)
+    return empty_channels_last(x, x.shape), weight.new_empty(weight.shape)
 
 
 def _keep_inputs(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -184,7 +174,7 @@ def _input_gradient(grad: Tensor, weight: Tensor, shape: torch.Size, stride: int
     """A convolution of the gradient, zeros in place of the positions that the stride skips."""
     if stride > 1:
         spread = torch.zeros(shape, dtype=grad.dtype, device=grad.device)
-        spread = spread.contiguous(memory_format=torch.channels_last_3d)
+        spread = channels_last(spread)
         spread[:, :, ::stride, ::stride, ::stride] = grad
         grad = spread
     return F.conv3d(grad, weight.flip(2, 3, 4), padding=1, groups=grad.shape[1])

@@ -13,6 +13,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from mobilestereonet.accelerate.layout import channels_last, empty_channels_last
+
 _TILE = (4, 4, 8)
 """Planes, rows and columns of a convolution's block: neighbours share what they read."""
 
@@ -157,13 +159,6 @@ def _correlate(  # type: ignore[no-untyped-def]
     tl.store(place + 2 * channels, tl.sum(right, axis=0), mask=channel < channels)
 
 
-def _empty(like: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """A volume (B, C, D, H, W) in channels last."""
-    return torch.empty(
-        shape, dtype=like.dtype, device=like.device, memory_format=torch.channels_last_3d
-    )
-
-
 def _run_convolve(
     source: Tensor, weight: Tensor, result: Tensor, stride: int, *, transposed: bool
 ) -> None:
@@ -198,9 +193,9 @@ def convolve(x: Tensor, weight: Tensor, stride: int) -> Tensor:
     Returns:
         (B, C, D / stride, H / stride, W / stride), rounded up, in the type of ``x``.
     """
-    x = x.contiguous(memory_format=torch.channels_last_3d)
+    x = channels_last(x)
     size = (-(-side // stride) for side in x.shape[2:])
-    y = _empty(x, (*x.shape[:2], *size))
+    y = empty_channels_last(x, (*x.shape[:2], *size))
     _run_convolve(x, weight, y, stride, transposed=False)
     return y
 
@@ -216,8 +211,8 @@ def convolve_backward(
         weight: Likewise.
         stride: Likewise.
     """
-    x, grad = (t.contiguous(memory_format=torch.channels_last_3d) for t in (x, grad))
-    grad_x = _empty(x, x.shape)
+    x, grad = map(channels_last, (x, grad))
+    grad_x = empty_channels_last(x, x.shape)
     _run_convolve(grad, weight, grad_x, stride, transposed=True)
     batch, channels, depth, height, _ = grad.shape
     rows = batch * depth * height

@@ -1,4 +1,4 @@
-"""Copies of networks, and modules of theirs replaced by others."""
+"""Copying networks and replacing their modules."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from mobilestereonet.accelerate.layout import empty_channels_last
 from mobilestereonet.accelerate.modules import is_plain
 
 _LIMITS: dict[type[nn.Module], tuple[float, float]] = {
@@ -148,12 +149,7 @@ def batch_norm_activation(
 def _(
     x: Tensor, weight: Tensor, bias: Tensor, eps: float, low: float, high: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    return _channels_last_empty(x), torch.empty_like(weight), torch.empty_like(weight)
-
-
-def _channels_last_empty(x: Tensor) -> Tensor:
-    layout = torch.channels_last if x.dim() == 4 else torch.channels_last_3d
-    return torch.empty(x.shape, dtype=x.dtype, device=x.device, memory_format=layout)
+    return empty_channels_last(x, x.shape), torch.empty_like(weight), torch.empty_like(weight)
 
 
 @torch.library.custom_op("mobilestereonet::batch_norm_activation_backward", mutates_args=())
@@ -187,7 +183,7 @@ def _(
     low: float,
     high: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    return _channels_last_empty(x), torch.empty_like(weight), torch.empty_like(bias)
+    return empty_channels_last(x, x.shape), torch.empty_like(weight), torch.empty_like(bias)
 
 
 def _keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor, Tensor]) -> None:

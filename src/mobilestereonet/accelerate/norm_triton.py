@@ -14,6 +14,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from mobilestereonet.accelerate.layout import channels_last
+
 Limits = tuple[float, float]
 """An activation's least and largest value."""
 
@@ -157,12 +159,6 @@ def _mapped(x: Tensor, grad: Tensor | None, maps: tuple[Tensor, ...], limits: Li
         block_channels=_CHANNELS,
     )
     return result
-
-
-def channels_last(x: Tensor) -> Tensor:
-    """Images or volumes in channels last."""
-    layout = torch.channels_last if x.dim() == 4 else torch.channels_last_3d
-    return x.contiguous(memory_format=layout)
 
 
 def norm_activation(x: Tensor, scale: Tensor, shift: Tensor, limits: Limits) -> Tensor:

@@ -57,17 +57,13 @@ def cost(
 
 
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
+    from mobilestereonet.cli.engine import network_values
     from mobilestereonet.costs import count_costs
     from mobilestereonet.nets import model_config
-    from mobilestereonet.settings import override, parse_assignments
+    from mobilestereonet.settings import override
     from mobilestereonet.weights import card, embedded_models
 
-    values = {}
-    for key, value in parse_assignments(settings).items():
-        prefix, _, field = key.partition(".")
-        if prefix != "net" or not field:
-            raise InputError(f"--set {key}={value}: write it as net.{key}={value}")
-        values[field] = value
+    values = network_values(settings)
     config = override(model_config(model), values, f"model {model}")
     checked = {field: getattr(config, field) for field in values}
     parts = count_costs(model, height, width, checked)

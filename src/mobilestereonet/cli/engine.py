@@ -92,7 +92,7 @@ def network_values(settings: list[str] | None) -> dict[str, Any]:
 
     values = parse_assignments(settings or [])
     for name, value in values.items():
-        if not name.startswith("net."):
+        if not name.startswith("net.") or name == "net.":
             raise InputError(f"--set {name}={value}: write it as net.{name}={value}")
     return {name.removeprefix("net."): value for name, value in values.items()}
 

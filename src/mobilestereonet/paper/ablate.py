@@ -173,7 +173,7 @@ def ablation_table(rows: Sequence[AblationRow], recipe: Recipe) -> Table:
     for row in rows:
         cells = []
         for name, ours in row.figures.items():
-            theirs = printed.get(row.model, {}).get(name)
-            cells += [f"{ours:.2f}", "" if theirs is None else f"{theirs:.2f}"]
+            paper = printed.get(row.model, {}).get(name)
+            cells += [f"{ours:.2f}", "" if paper is None else f"{paper:.2f}"]
         table.add_row(row.model, *cells)
     return table

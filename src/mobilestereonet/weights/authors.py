@@ -54,11 +54,11 @@ def authors_key(key: str, config: Any) -> str:
 def from_authors(weights: WeightsFile) -> WeightsFile:
     """Translate a checkpoint of MobileStereoNet's authors; any other is given back as it is.
 
-    Theirs is ``{"model": {"module.<name>": tensor}}``, or the state dict alone, with or without
-    the prefix: `msnet2d` or `msnet3d-authors`, told from the names.
+    The authors' file is ``{"model": {"module.<name>": tensor}}``, or the state dict alone, with or
+    without the prefix: `msnet2d` or `msnet3d-authors`, told from the names.
 
     Raises:
-        InputError: If most names are theirs, but not all, or there are more.
+        InputError: If most names are the authors', but not all, or there are more.
     """
     prefix = next((key.partition(_MARK)[0] for key in weights.state if _MARK in key), None)
     if prefix is None:
@@ -77,5 +77,5 @@ def from_authors(weights: WeightsFile) -> WeightsFile:
             f"{weights.source}: not the authors' {name.removesuffix('-authors')}: {len(missing)} "
             f"keys missing, {len(unknown)} unknown, such as {example!r}"
         )
-    translated = {own: state[theirs] for theirs, own in expected.items()}
+    translated = {own: state[released] for released, own in expected.items()}
     return WeightsFile(weights.source, translated, name)

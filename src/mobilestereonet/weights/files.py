@@ -22,7 +22,7 @@ CHECKPOINT_ENDINGS = (".bin", ".ckpt", ".pt", ".pth", ".tar")
 COUNTER = "num_batches_tracked"
 """A buffer that only a batch norm without momentum would read, and there is none: not saved."""
 _FAMILY = "msnet2d"
-"""Network of files from before they named theirs: the config in them says all of it."""
+"""Family of weights files that do not name their network: their config tells which one it is."""
 
 
 @dataclass(frozen=True)
