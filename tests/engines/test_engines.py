@@ -278,3 +278,27 @@ def test_the_host_process_gives_memory_back(name):
         [sys.executable, "-c", program], capture_output=True, check=True, text=True
     )
     assert float(done.stdout.splitlines()[-1]) > 200
+
+
+_SIGNAL_AFTER_ENGINES = """
+import faulthandler, os, signal, sys
+from mobilestereonet import create_model
+from mobilestereonet.engines.choose import open_engine
+
+faulthandler.enable()  # on a signal stack of its own, as pytest and servers have it
+seen = []
+signal.signal(signal.SIGUSR1, lambda *_: seen.append("handled"))
+net = create_model("msnet2d", pretrained=False, max_disparity=64)
+first = open_engine("openvino", net, device="cpu", cache=sys.argv[1])
+second = open_engine("openvino", net, device="cpu", cache=sys.argv[1])
+del first
+del second
+os.kill(os.getpid(), signal.SIGUSR1)
+print(*seen)
+"""
+
+
+@pytest.mark.skipif(not OpenVinoEngine.installed(), reason="not installed")
+def test_signals_reach_python_after_openvino_engines(tmp_path):
+    command = [sys.executable, "-c", _SIGNAL_AFTER_ENGINES, str(tmp_path)]
+    assert subprocess.run(command, stdout=subprocess.PIPE, text=True).stdout == "handled\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,19 @@ if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
 
 _PRECISIONS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16"}
+
+
+@cache
+def openvino_core() -> Any:
+    """The one ``openvino.Core`` of this process.
+
+    OpenVINO's CPU device gives the thread that loads it a signal stack and puts the former one back
+    when its core is deleted. Two cores that are not deleted in the reverse order leave a stack that
+    is no longer mapped, and the next signal with a Python handler (Ctrl-C) kills the process.
+    """
+    import openvino
+
+    return openvino.Core()
 
 
 def to_openvino(network: ExportableNet, size: Size | None = None) -> Any:
@@ -79,10 +93,8 @@ class OpenVinoEngine(ConvertedEngine):
         Raises:
             InputError: If OpenVINO does not have it here.
         """
-        import openvino
-
         name = str(device).upper()
-        devices = openvino.Core().available_devices
+        devices = openvino_core().available_devices
         target = "CPU" if name == AUTO.upper() else name
         if target not in devices and f"{target}.0" not in devices:
             raise InputError(
@@ -100,11 +112,8 @@ class OpenVinoEngine(ConvertedEngine):
         return not self.target.startswith("NPU")
 
     def _machine(self) -> object:
-        import openvino
-
-        core = openvino.Core()
         facts = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
-        return [core.get_property(self.target, fact) for fact in facts]
+        return [openvino_core().get_property(self.target, fact) for fact in facts]
 
     def _options(self) -> dict[str, Any]:
         # Left to itself OpenVINO computes in reduced precision wherever the device can.
@@ -117,17 +126,13 @@ class OpenVinoEngine(ConvertedEngine):
         return options
 
     def _convert(self, network: ExportableNet, size: Size | None) -> bytes:
-        import openvino
-
         model = to_openvino(network, size)
-        compiled = openvino.compile_model(model, self.target, self._options())
+        compiled = openvino_core().compile_model(model, self.target, self._options())
         blob: bytes = compiled.export_model().getvalue()
         return blob
 
     def _load(self, model: bytes) -> Run:
-        import openvino
-
-        compiled = openvino.Core().import_model(model, self.target, self._options())
+        compiled = openvino_core().import_model(model, self.target, self._options())
 
         def run(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
             # A request of its own for each call: threads cannot share one.

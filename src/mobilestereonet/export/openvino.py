@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mobilestereonet.engines.openvino import to_openvino
+from mobilestereonet.engines.openvino import openvino_core, to_openvino
 from mobilestereonet.export.base import INPUTS, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
 
@@ -40,13 +40,11 @@ class OpenVINO(Format):
 
     def open(self, path: Path) -> Run:
         """Compile for the CPU, with float32 where the file has it."""
-        import openvino
-
         options = {
             "INFERENCE_NUM_THREADS": torch.get_num_threads(),
             "INFERENCE_PRECISION_HINT": "f32",  # some processors would take bfloat16
         }
-        model = openvino.Core().compile_model(path, "CPU", options)
+        model = openvino_core().compile_model(path, "CPU", options)
 
         def run(left: Tensor, right: Tensor) -> Tensor:
             disparity = model(dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True)))[0]
@@ -56,7 +54,5 @@ class OpenVINO(Format):
 
     def read_metadata(self, path: Path) -> dict[str, str]:
         """The runtime information under ``mobilestereonet``."""
-        import openvino
-
-        information = openvino.Core().read_model(path).get_rt_info([_METADATA])
+        information = openvino_core().read_model(path).get_rt_info([_METADATA])
         return {key: value.astype(str) for key, value in information.astype(dict).items()}
