@@ -336,6 +336,7 @@ def test_command(msnet, net, tmp_path):
     files = {"metadata.json": ""}
     program = torch.export.load(output, extra_files=files)
     assert json.loads(files["metadata.json"])["disparity_range"] == "0..31"
+    torch.manual_seed(0)  # two disparities as likely as one another are a matter of rounding
     left, right = torch.rand(2, 1, 3, *SIZE)
     torch.testing.assert_close(
         program.module()(left, right), expected(net, left, right), rtol=0, atol=1e-3

@@ -1,3 +1,4 @@
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -15,7 +16,12 @@ from mobilestereonet.nets import (
     registry,
     trained_pixels,
 )
-from mobilestereonet.nets.coarse_pass import guidance_from_scores
+from mobilestereonet.nets.coarse_pass import (
+    band_start,
+    cut_band,
+    guidance_from_scores,
+    spread_band,
+)
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
@@ -49,7 +55,7 @@ def test_every_named_network(name):
         assert values.isfinite().all()
         assert 0 <= values.min() <= values.max() <= largest
     assert model_name(net.config) in list_models()
-    with pytest.raises(InputError, match="multiples of 16"):
+    with pytest.raises(InputError, match=f"multiples of {net.size_multiple}"):
         net(left[..., :-1], right[..., :-1])
 
 
@@ -247,6 +253,9 @@ def test_the_papers_loss():
         ({"max_disparity": 528}, "got 528"),
         ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
         ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
+        ({"dims": 3, "band": 16}, "band must be 0.* got 16 with coarse_pass=False"),
+        ({"dims": 3, "coarse_pass": True, "band": 10, "cost_volume": "correlation"}, "got 10"),
+        ({"dims": 3, "coarse_pass": True, "band": 16}, "correlation volume, got .*interlaced-4"),
         ({"cost_volume": "groupwise", "groups": 7}, "groups must divide the 32 channels"),
         ({"channel_reduction": False}, "set channel_reduction=True"),
     ],
@@ -286,7 +295,7 @@ def test_coarse_pass():
         half = build_model("msnet3d", max_disparity=32, hourglasses=1).eval()
         half.load_state_dict(state)
         told = guidance_from_scores(half.scores(*halves))
-        torch.testing.assert_close(net.guidance(*views), told, rtol=0, atol=1e-5)
+        torch.testing.assert_close(net.guidance(*views), (told, None), rtol=0, atol=1e-5)
         planes = net.config.planes
         expected = net.aggregate(net.cost_volume(*views, planes), told)[-1]
         torch.testing.assert_close(net.scores(*views), expected, rtol=0, atol=1e-4)
@@ -295,9 +304,90 @@ def test_coarse_pass():
     net.guidance(*views)
     assert net.training and net.pre_hourglass.training and not net.features.training
     net.set_step(4)
-    assert not net.guidance(*views).any()
+    assert not net.guidance(*views)[0].any()
     with pytest.raises(InputError, match="multiples of 32, got 48 x 128"):
         net(*views[..., :48, :])
+
+
+def test_bands_lie_around_the_likeliest_disparities():
+    scores = torch.zeros(1, 24, 2, 3)
+    scores[0, 9, 0] = 100  # planes 18 and 19 of the fine pass
+    scores[0, 0, 1] = 100  # planes 0 and 1
+    start = band_start(scores, 16)
+    assert start.shape == (1, 4, 6) and start.dtype == torch.int64
+    # Of 8..23 and 12..27 the first has them nearest to its middle, 15 and 16.
+    assert (start[:, 0] == 12).all() or (start[:, 0] == 8).all()
+    assert (start[:, 3] == 0).all()
+    scores[0, 9, 0], scores[0, 23, 0] = 0, 100  # planes 46 and 47, the last ones
+    assert (band_start(scores, 16)[:, 0] == 48 - 16).all()
+    # Of two modes with the same probability it can hold one.
+    scores[0, 2, 0] = 100
+    assert set(band_start(scores, 16)[0, 0].tolist()) <= {0, 32}
+
+
+def test_bands_are_cut_from_all_planes_and_spread_to_them():
+    volume = torch.randn(2, 24, 3, 5)
+    start = 4 * torch.randint(0, 4, (2, 3, 5))
+    band = cut_band(volume, start, 12)
+    spread = spread_band(band, start, 24)
+    for index in itertools.product(range(2), range(3), range(5)):
+        b, y, x = index
+        first = int(start[index])
+        assert band[b, :, y, x].equal(volume[b, first : first + 12, y, x])
+        outside = [*range(first), *range(first + 12, 24)]
+        assert spread[b, first : first + 12, y, x].equal(band[b, :, y, x])
+        assert (spread[b, outside, y, x] == band[b, :, y, x].min() - 2).all()
+
+
+def test_the_volume_of_a_band_is_part_of_the_whole():
+    volume = Correlation(groups=4)
+    left, right = torch.randn(2, 2, 8, 3, 20)
+    start = 4 * torch.randint(0, 3, (2, 3, 20))
+    band = volume(left, right, 8, start)
+    whole = volume(left, right, 16)
+    for i in range(8):
+        expected = whole.gather(2, (start + i)[:, None, None].expand(-1, 4, 1, -1, -1))[:, :, 0]
+        torch.testing.assert_close(band[:, :, i], expected)
+    assert not band[:, :, 1:, :, 0].any()  # the first column has no partner
+
+
+def test_a_band_of_all_planes_changes_nothing():
+    torch.manual_seed(0)
+    config = {"max_disparity": 64, "hourglasses": 1, "coarse_pass": True}
+    whole, cascade = (
+        build_model("msnet3d", **config, band=band).double().eval() for band in (0, 16)
+    )
+    cascade.load_state_dict(whole.state_dict())
+    views = torch.randn(2, 1, 3, 64, 128, dtype=torch.float64)
+    with torch.no_grad():
+        torch.testing.assert_close(cascade(*views), whole(*views), rtol=0, atol=1e-10)
+        narrow = build_model("msnet3d", **config, band=8).double().eval()
+        narrow.load_state_dict(whole.state_dict())
+        scores = narrow.scores(*views)
+    lowest = scores.amin(dim=1, keepdim=True)
+    assert ((scores == lowest).sum(dim=1) == 8).all()  # the eight planes outside
+
+
+def test_an_unguided_step_of_a_cascade_searches_all_planes():
+    net = build_model("msnet3d-cascade", max_disparity=128, hourglasses=1)
+    views = torch.randn(2, 1, 3, 32, 160)
+    net.set_step(4)
+    assert net.outputs(*views).volume.shape[2] == 32
+    net.set_step(5)
+    outputs = net.outputs(*views)
+    assert outputs.volume.shape[2] == 16 and outputs.scores[0].shape[1] == 32
+
+
+def test_a_network_cut_after_its_first_hourglass():
+    torch.manual_seed(0)
+    net = build_model("msnet3d", max_disparity=64)
+    cut = build_model("msnet3d", max_disparity=64, hourglasses=1)
+    cut.load_state_dict(cut.state_of_config(cut.config, net.state_dict()))
+    net.train().apply(lambda layer: layer.eval() if not list(layer.children()) else None)
+    views = torch.randn(2, 1, 3, 32, 80)
+    with torch.no_grad():
+        second_head = net.outputs(*views).scores[1]  # in training mode, with eval norms
+        torch.testing.assert_close(cut.eval().scores(*views), second_head)
 
 
 def test_refused_names_and_overrides():

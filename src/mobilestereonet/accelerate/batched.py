@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.planewise import per_view
+from mobilestereonet.accelerate.planewise import correlated_band, per_view
 from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
 from mobilestereonet.nets.model import VolumeModel
 from mobilestereonet.nets.msnet import MobileStereoNet
@@ -32,10 +32,9 @@ class BatchedMobileStereoNet(MobileStereoNet):
         self.training = net.training
         self._guided = net._guided
 
-    def cost_volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
-        """See `MobileStereoNet.cost_volume`."""
-        views = self.reduction(self.features(torch.cat((left, right))))
-        return cast(Tensor, self.volume(*views.chunk(2), planes))
+    def view_features(self, left: Tensor, right: Tensor) -> Sequence[Tensor]:
+        """See `MobileStereoNet.view_features`."""
+        return self.reduction(self.features(torch.cat((left, right)))).chunk(2)
 
 
 class BatchedCorrelation(Correlation):
@@ -47,8 +46,14 @@ class BatchedCorrelation(Correlation):
     def __init__(self, volume: Correlation) -> None:
         super().__init__(volume.groups)
 
-    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
+    def forward(
+        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
+    ) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``; see `Correlation`."""
+        if start is not None:
+            band = correlated_band(left, right, start, planes, self.groups)
+            rows_last = [plane.permute(0, 2, 3, 1) for plane in band]
+            return torch.stack(rows_last, dim=1).permute(0, 4, 1, 2, 3)
         volume: Tensor = _group_means(left, right, planes, self.groups)
         return volume
 

@@ -17,11 +17,17 @@ from torch import Tensor, nn
 from mobilestereonet.accelerate.inference import guide_convolution
 from mobilestereonet.accelerate.modules import inference_copy
 from mobilestereonet.accelerate.norms import fold_norms
-from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume
+from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume, correlated_band
 from mobilestereonet.accelerate.slices import slice_layers
 from mobilestereonet.accelerate.soft_argmax import closed_form, upsample, use_closed_form
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.coarse_pass import halve, scaled_log_probability
+from mobilestereonet.nets.coarse_pass import (
+    band_start,
+    cut_band,
+    halve,
+    scaled_log_probability,
+    spread_band,
+)
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel, VolumeModel
 from mobilestereonet.nets.msnet import MobileStereoNet
@@ -142,21 +148,31 @@ class ExportableMobileStereoNet(ExportableNet):
         self.pre_hourglass = net.pre_hourglass
         self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
         if net.config.coarse_pass:
+            count = net.config.coarse_hourglasses or net.config.hourglasses
+            self.coarse_aggregation = nn.Sequential(*net.hourglasses[:count], net.heads[count])
             self.guide = nn.Sequential(guide_convolution(net.guide))
         if self.conv3d_as_2d:
             slice_layers(self)
 
     def _match(self, left: Tensor, right: Tensor) -> Tensor:
-        planes, guidance = self.config.planes, None
+        planes, band, guidance = self.config.planes, self.config.band_planes, None
         views = torch.cat((left, right))
         if self.config.coarse_pass:
-            guidance = guidance_in_four_dimensions(self._scores(halve(views), planes // 2))
-        scores = self._scores(views, planes, guidance)
+            coarse = self._scores(halve(views), planes // 2)
+            guidance = guidance_in_four_dimensions(coarse)
+        if not band:
+            scores = self._scores(views, planes, guidance)
+        else:
+            start = band_start(coarse, band)
+            scores = self._scores(views, band, cut_band(guidance, start, band), start)
+            scores = spread_band(scores, start, planes)
         return scores if self.gives_scores else closed_form(upsample(scores), self.estimator)
 
-    def _scores(self, views: Tensor, planes: int, guidance: Tensor | None = None) -> Tensor:
+    def _scores(
+        self, views: Tensor, planes: int, guidance: Tensor | None = None, *start: Tensor
+    ) -> Tensor:
         left, right = self.reduction(self.features(views)).split(1)
-        blocks = list(self.volume(left, right, planes))
+        blocks = list(self.volume(left, right, planes, *start))
         if self.conv3d_as_2d:
             volume = torch.cat(blocks)
             guidance = None if guidance is None else guidance.transpose(0, 1)
@@ -168,9 +184,10 @@ class ExportableMobileStereoNet(ExportableNet):
             elif len(volume) > 1:
                 volume = torch.cat(volume.split(1), dim=1)
         x = self.pre_hourglass(volume)
-        if guidance is not None:
-            x = x + self.guide(guidance)
-        scores: Tensor = self.aggregation(x)
+        if guidance is None and self.config.coarse_pass:
+            scores: Tensor = self.coarse_aggregation(x)
+        else:
+            scores = self.aggregation(x if guidance is None else x + self.guide(guidance))
         return scores.unsqueeze(0) if scores.ndim == 3 else scores
 
 
@@ -237,8 +254,13 @@ class BlockwiseCorrelation(nn.Module):
         nn.init.constant_(self.mean.weight, volume.groups / channels)
         self.mean.to(like.device, like.dtype)
 
-    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+    def forward(
+        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
+    ) -> Iterator[Tensor]:
         """(1, C, H, W) twice -> so many planes (1, groups, H, W)."""
+        if start is not None:
+            yield from correlated_band(left, right, start, planes, self.mean.groups)
+            return
         yield self.mean(left * right)
         for i in range(1, planes):
             yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))

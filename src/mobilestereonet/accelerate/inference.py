@@ -71,7 +71,8 @@ def images_one_by_one(net: MobileStereoNet) -> None:
 
 def drop_training_heads(net: MobileStereoNet) -> None:
     """Replace the heads that only training calls by identities."""
-    net.heads = nn.ModuleList([*(nn.Identity() for _ in net.hourglasses), net.heads[-1]])
+    for index in set(range(net.config.hourglasses)) - {net.config.coarse_hourglasses or None}:
+        net.heads[index] = nn.Identity()
 
 
 def volume_by_planes(net: MobileStereoNet) -> None:
@@ -101,7 +102,9 @@ def columns_first(net: MobileStereoNet) -> None:
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.weight = nn.Parameter(module.weight.movedim(-1, 2), requires_grad=False)
     net.add_module("pre_hourglass", nn.Sequential(MoveAxis(-1, 2), net.pre_hourglass))
-    net.heads[-1] = nn.Sequential(net.heads[-1], MoveAxis(1, -1))
+    for index, head in enumerate(net.heads):
+        if not isinstance(head, nn.Identity):
+            net.heads[index] = nn.Sequential(head, MoveAxis(1, -1))
     if net.config.coarse_pass:
         net.add_module("guide", ColumnGuide(net.guide))
 

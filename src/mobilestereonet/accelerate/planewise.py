@@ -105,20 +105,54 @@ class PlanewiseCorrelation(nn.Module):
         super().__init__()
         self.groups = volume.groups
 
-    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
+    def forward(
+        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
+    ) -> Iterator[Tensor]:
         """(B, C, H, W) twice -> so many planes (B, groups, H, W)."""
+        if start is not None:
+            yield from correlated_band(left, right, start, planes, self.groups)
+            return
         batch, _, height, width = left.shape
-        left, right = self._by_member(left), self._by_member(right)
+        left, right = by_member(left, self.groups), by_member(right, self.groups)
         for i in range(min(planes, width)):
             plane = (left[:, :, i:] * right[:, :, : width - i]).mean(dim=3)
             yield F.pad(plane, (0, 0, i, 0)).permute(0, 3, 1, 2)
         for _ in range(width, planes):
             yield left.new_zeros(batch, self.groups, height, width)
 
-    def _by_member(self, view: Tensor) -> Tensor:
-        """(B, C, H, W) -> (B, H, W, members, groups): sums over members run along all groups."""
-        view = view.permute(0, 2, 3, 1).unflatten(3, (self.groups, -1))
-        return view.transpose(3, 4).contiguous()
+
+def by_member(view: Tensor, groups: int) -> Tensor:
+    """(B, C, H, W) -> (B, H, W, members, groups): sums over members run along all groups."""
+    view = view.permute(0, 2, 3, 1).unflatten(3, (groups, -1))
+    return view.transpose(3, 4).contiguous()
+
+
+def correlated_band(
+    left: Tensor, right: Tensor, start: Tensor, planes: int, groups: int
+) -> Iterator[Tensor]:
+    """`band_volume` of a `Correlation`, one plane after the other, channels last.
+
+    The features of a pixel are one row of memory, so that its partner is the copy of a row.
+
+    Args:
+        left: Features of the left views, (B, C, H, W).
+        right: Features of the right views, likewise.
+        start: First disparity of each pixel's band, (B, H, W) int64.
+        planes: Number of disparities of the band.
+        groups: Groups of the correlation.
+
+    Yields:
+        Planes (B, groups, H, W).
+    """
+    batch, _, height, width = left.shape
+    left, right = by_member(left, groups), by_member(right, groups).flatten(0, 2)
+    pixel = torch.arange(batch * height * width, device=start.device).view(start.shape)
+    column = torch.arange(width, device=start.device)
+    for i in range(planes):
+        shift = start + i
+        partner = right.index_select(0, (pixel - shift.minimum(column)).flatten())
+        plane = (left * partner.view(left.shape)).mean(dim=3)
+        yield (plane * (shift <= column).unsqueeze(3)).permute(0, 3, 1, 2)
 
 
 class StackedPlanes(nn.Module):
@@ -135,10 +169,10 @@ class StackedPlanes(nn.Module):
         self.volume = volume
         self.columns_first = columns_first
 
-    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
+    def forward(self, left: Tensor, right: Tensor, planes: int, *start: Tensor) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``; see `Correlation`."""
         result: Tensor | None = None
-        for index, plane in enumerate(self.volume(left, right, planes)):
+        for index, plane in enumerate(self.volume(left, right, planes, *start)):
             if result is None:
                 result = self._empty(plane, planes)
             result[:, :, index] = plane

@@ -2,9 +2,15 @@
 
 A network's receptive field does not grow with the image. Inside a large surface without texture it
 must guess; at half resolution the surface's borders are twice as near.
+
+In a cascade (Gu et al., "Cascade Cost Volume for High-Resolution Multi-View Stereo and Stereo
+Matching", CVPR 2020) the coarse pass also narrows the search: the fine pass looks at a band of
+planes around the coarse answer of each pixel.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 import torch.nn.functional as F
@@ -12,6 +18,12 @@ from torch import Tensor, nn
 
 MIN_LOG_PROBABILITY = -8.0
 """Logarithm of a probability at which, and below which, guidance is 0."""
+
+BAND_STEP = 4
+"""Bands start at multiples of so many planes: what the hourglasses reduce two times by 2."""
+
+OUTSIDE_BAND = -2.0
+"""Score of planes outside of a pixel's band, relative to the lowest inside."""
 
 
 def halve(views: Tensor) -> Tensor:
@@ -40,6 +52,62 @@ def guidance_from_scores(scores: Tensor) -> Tensor:
     likely = scaled_log_probability(scores).unsqueeze(1)
     fine = F.interpolate(likely, scale_factor=2, mode="trilinear", align_corners=False)
     return fine.squeeze(1).to(scores.dtype)
+
+
+def band_start(scores: Tensor, planes: int) -> Tensor:
+    """Where the band of each pixel starts: around the likeliest disparities of the coarse pass.
+
+    Of all bands the one that holds most of the probability, weighted by half a sine wave with its
+    peak in the band's centre.
+
+    Args:
+        scores: Scores of the coarse pass, (B, D / 2, H / 8, W / 8).
+        planes: Planes of a band, a multiple of 4 up to D.
+
+    Returns:
+        First planes, (B, H / 4, W / 4) int64, multiples of 4 in 0 .. D - planes.
+    """
+    dtype = torch.promote_types(scores.dtype, torch.float32)
+    weights = band_weights(2 * scores.shape[1], planes).to(scores.device, dtype)
+    # A plane of the coarse pass counts as the two that it covers.
+    weights = F.interpolate(weights[:, None], scale_factor=0.5, mode="linear")[:, 0]
+    bands = F.conv2d(scores.to(dtype).softmax(dim=1), weights[..., None, None])
+    bands = F.interpolate(bands, scale_factor=2.0, mode="bilinear", align_corners=False)
+    return BAND_STEP * bands.argmax(dim=1)
+
+
+def band_weights(planes: int, band: int) -> Tensor:
+    """Weight of each of the planes in each possible band: (number of bands, planes)."""
+    starts = range(0, planes - band + 1, BAND_STEP)
+    weights = torch.zeros(len(starts), planes, dtype=torch.float64)
+    bump = torch.sin(math.pi * (torch.arange(band, dtype=torch.float64) + 0.5) / band)
+    for row, start in zip(weights, starts, strict=True):
+        row[start : start + band] = bump
+    return weights
+
+
+def cut_band(volume: Tensor, start: Tensor, planes: int) -> Tensor:
+    """A band of each pixel's planes: (B, D, H, W) and starts (B, H, W) -> (B, planes, H, W)."""
+    offsets = torch.arange(planes, device=start.device)[:, None, None]
+    return volume.gather(1, start.unsqueeze(1) + offsets)
+
+
+def spread_band(scores: Tensor, start: Tensor, planes: int) -> Tensor:
+    """Scores of all planes from those of each pixel's band.
+
+    Args:
+        scores: Scores of the band, (B, N, H, W).
+        start: First plane of each pixel's band, (B, H, W) int64.
+        planes: Planes D of the whole range.
+
+    Returns:
+        (B, D, H, W), 2 below the pixel's lowest score outside of its band.
+    """
+    inside = torch.arange(planes, device=start.device)[:, None, None] - start.unsqueeze(1)
+    last = scores.shape[1] - 1
+    spread = scores.gather(1, inside.clamp(0, last))
+    outside = scores.amin(dim=1, keepdim=True) + OUTSIDE_BAND
+    return torch.where((inside >= 0) & (inside <= last), spread, outside)
 
 
 class Guide(nn.Conv3d):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import conv_norm
-from mobilestereonet.nets.operations import cost_volume
+from mobilestereonet.nets.operations import band_volume, cost_volume
 
 CostVolume = Literal[
     "interlaced-1",
@@ -50,9 +50,16 @@ class Correlation(nn.Module):
         super().__init__()
         self.groups = groups
 
-    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``."""
-        return cost_volume(self.compare, left, right, planes)
+    def forward(
+        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
+    ) -> Tensor:
+        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``.
+
+        With ``start``, (B, H, W), each pixel's disparities begin there, see `band_volume`.
+        """
+        if start is None:
+            return cost_volume(self.compare, left, right, planes)
+        return band_volume(self.compare, left, right, start, planes)
 
     def compare(self, left: Tensor, right: Tensor) -> Tensor:
         """(B, C, H, W) twice -> (B, groups, H, W)."""

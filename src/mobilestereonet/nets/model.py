@@ -89,6 +89,16 @@ class StereoModel(nn.Module):
         """
         return {}
 
+    @classmethod
+    def state_of_config(cls, config: Any, state: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Those tensors of a state dict that a smaller config has; all by default.
+
+        Args:
+            config: A config that asks for less than the state dict's own, such as fewer stages.
+            state: Tensors by name.
+        """
+        return state
+
     def __init__(self, config: Any) -> None:
         super().__init__()
         self.config = config

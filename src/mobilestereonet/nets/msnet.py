@@ -8,7 +8,7 @@ and the regression; they follow the authors' release.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -16,7 +16,14 @@ import torch
 from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import Block, V2Block, initialise
-from mobilestereonet.nets.coarse_pass import Guide, guidance_from_scores, halve
+from mobilestereonet.nets.coarse_pass import (
+    Guide,
+    band_start,
+    cut_band,
+    guidance_from_scores,
+    halve,
+    spread_band,
+)
 from mobilestereonet.nets.cost_volumes import Correlation, CostVolume, LearnedVolume
 from mobilestereonet.nets.features import FeatureExtraction, ResidualBlock, channel_reduction
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
@@ -61,33 +68,58 @@ class MobileStereoNet(VolumeModel):
         """A guide is that of a coarse pass, see `StereoModel`."""
         return {"coarse_pass": config.dims == 3 and "guide.weight" in names}
 
+    @classmethod
+    def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Without the last hourglasses it ends in the head before them; see `StereoModel`."""
+        kept = {"heads": config.hourglasses + 1, "hourglasses": config.hourglasses}
+        parts = {name: name.split(".") for name in state}
+        return {
+            name: value
+            for name, value in state.items()
+            if parts[name][0] not in kept or int(parts[name][1]) < kept[parts[name][0]]
+        }
+
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""
         self.check_views(left, right)
-        guidance = self.guidance(left, right)
-        volume = self.cost_volume(left, right, self.config.planes)
-        return VolumeOutputs(self.aggregate(volume, guidance), volume, self.regression)
+        guidance, start = self.guidance(left, right)
+        planes = self.config.planes if start is None else self.config.band_planes
+        volume = self.cost_volume(left, right, planes, start)
+        scores = self.aggregate(volume, guidance)
+        if start is not None:
+            scores = [spread_band(band, start, self.config.planes) for band in scores]
+        return VolumeOutputs(scores, volume, self.regression)
 
-    def cost_volume(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+    def cost_volume(
+        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
+    ) -> Tensor:
         """Cost volume of a pair.
 
         Args:
             left: Left views (B, 3, H, W), preprocessed.
             right: Right views, likewise.
             planes: Disparities D at a quarter of the resolution.
+            start: First of the disparities at each pixel, (B, H / 4, W / 4); None: 0.
 
         Returns:
             (B, C, D, H / 4, W / 4).
         """
-        left, right = (self.reduction(self.features(view)) for view in (left, right))
-        return cast(Tensor, self.volume(left, right, planes))
+        band = () if start is None else (start,)
+        return cast(Tensor, self.volume(*self.view_features(left, right), planes, *band))
 
-    def aggregate(self, volume: Tensor, guidance: Tensor | None = None) -> list[Tensor]:
+    def view_features(self, left: Tensor, right: Tensor) -> Sequence[Tensor]:
+        """Features of both views, (B, C, H / 4, W / 4) each, as the cost volume takes them."""
+        return [self.reduction(self.features(view)) for view in (left, right)]
+
+    def aggregate(
+        self, volume: Tensor, guidance: Tensor | None = None, hourglasses: int | None = None
+    ) -> list[Tensor]:
         """Encoder-decoder and heads: matching scores of a cost volume.
 
         Args:
             volume: (B, C, D, H / 4, W / 4).
-            guidance: (B, D, H / 4, W / 4), see `guidance`; None or zeros: no guidance.
+            guidance: (B, D, H / 4, W / 4), see `guidance`; None or zeros: none.
+            hourglasses: Number of those that it goes through; None: all.
 
         Returns:
             One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
@@ -96,14 +128,15 @@ class MobileStereoNet(VolumeModel):
         if guidance is not None:
             x = self.guide(x, guidance)
         scores = []
-        for head, hourglass in zip(self.heads[:-1], self.hourglasses, strict=True):
+        for index, hourglass in enumerate(self.hourglasses[:hourglasses]):
             if self.training:
-                scores.append(cast(Tensor, head(x)))
+                scores.append(cast(Tensor, self.heads[index](x)))
             x = hourglass(x)
-        return [*scores, cast(Tensor, self.heads[-1](x))]
+        last = self.heads[-1 if hourglasses is None else hourglasses]
+        return [*scores, cast(Tensor, last(x))]
 
     @torch.no_grad()
-    def guidance(self, left: Tensor, right: Tensor) -> Tensor | None:
+    def guidance(self, left: Tensor, right: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """What a coarse pass, in eval mode, tells the fine one (see `nets.coarse_pass`).
 
         Args:
@@ -111,18 +144,25 @@ class MobileStereoNet(VolumeModel):
             right: Right views, likewise.
 
         Returns:
-            (B, D, H / 4, W / 4), zeros in an unguided training step (so that ``guide`` has a
-            gradient in every step); None from a network without a coarse pass.
+            Guidance (B, D, H / 4, W / 4) on the planes of the fine pass: zeros in an unguided
+            training step (so that ``guide`` has a gradient in every step), None from a network
+            without a coarse pass. And the first plane of each pixel's band, (B, H / 4, W / 4);
+            None where all planes are searched: without a band, and in unguided steps.
         """
         if not self.config.coarse_pass:
-            return None
-        planes = self.config.planes
+            return None, None
+        planes, band = self.config.planes, self.config.band_planes
         if self.training and not self._guided:
             batch, _, height, width = left.shape
-            return left.new_zeros(batch, planes, height // 4, width // 4)
+            return left.new_zeros(batch, planes, height // 4, width // 4), None
         with eval_mode(self):
             volume = self.cost_volume(halve(left), halve(right), planes // 2)
-            return guidance_from_scores(self.aggregate(volume)[-1])
+            scores = self.aggregate(volume, None, self.config.coarse_hourglasses or None)[-1]
+        guidance = guidance_from_scores(scores)
+        if not band:
+            return guidance, None
+        start = band_start(scores, band)
+        return cut_band(guidance, start, band), start
 
     def set_step(self, step: int) -> None:
         """Every fourth training step is without guidance."""
@@ -199,6 +239,9 @@ register_model(
 )(MobileStereoNet)
 # With the skip in its 3D blocks that the paper describes; the release does without.
 register_model("msnet3d", config=MSNET3D, paper=_PAPER)(MobileStereoNet)
+register_model("msnet3d-cascade", config=replace(MSNET3D, coarse_pass=True, band=16), paper=_PAPER)(
+    MobileStereoNet
+)
 register_model(
     "msnet3d-authors",
     config=replace(MSNET3D, v2_skip=False),

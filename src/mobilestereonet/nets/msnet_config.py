@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, get_args
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.blocks import Block
+from mobilestereonet.nets.coarse_pass import BAND_STEP
 from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, CostVolume
 from mobilestereonet.nets.soft_argmax import Estimator
 
@@ -47,6 +48,10 @@ class NetConfig:
             sharp edges (see `nets.soft_argmax`). In training every head takes the mean.
         coarse_pass: A first pass at half of the size guides the second (see `nets.coarse_pass`):
             for large surfaces without texture. Not in the paper; 3D alone.
+        coarse_hourglasses: Hourglasses of the first pass, whose scores are those of the head after
+            them; 0: all.
+        band: Planes that the second pass searches around each pixel's answer of the first, a
+            multiple of 4 from 8 on; 0: all. For correlation volumes with a coarse pass.
     """
 
     dims: Literal[2, 3]
@@ -68,8 +73,16 @@ class NetConfig:
     v2_relu: bool = True
     estimator: Estimator = "mean"
     coarse_pass: bool = False
+    coarse_hourglasses: int = 0
+    band: int = 0
 
-    free_fields: ClassVar[tuple[str, ...]] = ("max_disparity", "estimator", "coarse_pass")
+    free_fields: ClassVar[tuple[str, ...]] = (
+        "max_disparity",
+        "estimator",
+        "coarse_pass",
+        "coarse_hourglasses",
+        "band",
+    )
     """Fields that do not change what a network is called, see `model_name`."""
 
     def __post_init__(self) -> None:
@@ -100,6 +113,19 @@ class NetConfig:
                 "coarse_pass needs dims=3 and max_disparity a multiple of 32, "
                 f"got dims={self.dims} and {self.max_disparity}"
             )
+        if not 0 <= self.coarse_hourglasses <= self.hourglasses:
+            raise InputError(
+                f"coarse_hourglasses must be in 0..{self.hourglasses}, the number of hourglasses, "
+                f"got {self.coarse_hourglasses}"
+            )
+        if self.band and (
+            not self.coarse_pass or self.learns_volume or self.band % BAND_STEP or self.band < 8
+        ):
+            raise InputError(
+                "band must be 0, or a multiple of 4 from 8 on in a network with coarse_pass and a "
+                f"correlation volume, got {self.band} with coarse_pass={self.coarse_pass} and "
+                f"{self.cost_volume}"
+            )
         if self.cost_volume == "groupwise" and self.volume_input % self.groups:
             raise InputError(
                 f"groups must divide the {self.volume_input} channels of a view, got {self.groups}"
@@ -119,6 +145,11 @@ class NetConfig:
     def planes(self) -> int:
         """Disparities of the cost volume, at a quarter of the resolution."""
         return self.max_disparity // 4
+
+    @property
+    def band_planes(self) -> int:
+        """Planes of a pixel's band, at most all; 0: there are no bands."""
+        return min(self.band, self.planes)
 
     @property
     def size_multiple(self) -> int:

@@ -37,6 +37,37 @@ def cost_volume(
     return torch.stack(volume, dim=2)
 
 
+def band_volume(
+    compare: Callable[[Tensor, Tensor], Tensor],
+    left: Tensor,
+    right: Tensor,
+    start: Tensor,
+    planes: int,
+) -> Tensor:
+    """Cost volume of a band of disparities that starts elsewhere at each pixel.
+
+    Plane i compares left column x with right column x - start - i. (Gu et al., "Cascade Cost
+    Volume for High-Resolution Multi-View Stereo and Stereo Matching", CVPR 2020, Sec. 3.2.)
+
+    Args:
+        compare: See `cost_volume`; it must compare each column for itself.
+        left: Features of the left views, (B, C, H, W).
+        right: Features of the right views, likewise.
+        start: First disparity of each pixel's band, (B, H, W) int64, in pixels of the features.
+        planes: Number of disparities D of the band.
+
+    Returns:
+        (B, K, D, H, W), zero where a pixel has no partner.
+    """
+    columns = torch.arange(left.shape[-1], device=left.device) - start
+    volume = []
+    for i in range(planes):
+        partner = (columns - i).unsqueeze(1)  # (B, 1, H, W)
+        costs = compare(left, right.gather(3, partner.clamp_min(0).expand_as(right)))
+        volume.append(costs * (partner >= 0))
+    return torch.stack(volume, dim=2)
+
+
 def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
     """Pad above and on the right, where the authors' evaluation pads, too.
 

@@ -12,13 +12,13 @@ import importlib.util
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import StereoModel
-from mobilestereonet.settings import override
+from mobilestereonet.settings import differences, override
 
 Network = TypeVar("Network", bound=type[StereoModel])
 
@@ -201,8 +201,12 @@ def is_model(config: Any, name: str) -> bool:
     named = model_config(name)
     if type(config) is not type(named):
         return False
-    kept = {key: getattr(named, key) for key in free_fields(named)}
-    return bool(named == replace(config, **kept))
+    free = free_fields(named)
+    return all(
+        getattr(config, each.name) == getattr(named, each.name)
+        for each in fields(named)
+        if each.name not in free
+    )
 
 
 def free_fields(config: Any) -> tuple[str, ...]:
@@ -212,5 +216,9 @@ def free_fields(config: Any) -> tuple[str, ...]:
 
 
 def model_name(config: Any) -> str:
-    """The first registered model that a config is, see `is_model`; "custom" if it is none."""
-    return next((name for name in _MODELS if is_model(config, name)), "custom")
+    """The registered model that a config is, see `is_model`; "custom" if it is none.
+
+    Of several the one from which it differs in the fewest free fields, the first of equals.
+    """
+    names = [name for name in _MODELS if is_model(config, name)]
+    return min(names, key=lambda name: len(differences(config, model_config(name))), default="custom")

@@ -65,6 +65,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
     net = build_model(name, **(values | overrides)).float().eval()
     own = net.state_dict()
     state = strip_prefixes(weights.state, own)
+    if overrides:
+        state = net.state_of_config(net.config, state)
     if shapes(state) != shapes(own):
         raise InputError(f"{weights.source}: {_misfit(state, shapes(own), name, overrides)}")
     # All at once: some thousand small checks would take longer than reading the file.
