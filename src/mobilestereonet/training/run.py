@@ -230,8 +230,9 @@ def _load_initial(module: StereoModule, weights: str) -> None:
     found = load_model(weights, model=own)
     fresh = module.net.state_dict()
     zeros = {name: value for name, value in fresh.items() if not value.any()}
+    state = module.net.state_of_config(module.net.config, found.state_dict())
     try:
-        module.net.load_state_dict(zeros | found.state_dict())
+        module.net.load_state_dict(zeros | state)
     except RuntimeError:  # keys or shapes
         raise InputError(
             f"{weights}: does not fit the recipe's {module.recipe.model}: "
@@ -250,7 +251,8 @@ def _misfit(config: Any, module: StereoModule) -> str:
         options.append(f"--set model={name}")
     known = asdict(config).keys()
     net = {key: value for key, value in recipe.net.items() if key in known}
-    for key, (_, its) in differences(model_config(name, **net), config).items():
+    given = asdict(model_config(name)) | net
+    for key, (_, its) in differences(given, asdict(config)).items():
         options.append(f"--set net.{key}={its if isinstance(its, str) else json.dumps(its)}")
     return f"it holds {name}; add {' '.join(options)}"
 
