@@ -368,14 +368,18 @@ def test_a_band_of_all_planes_changes_nothing():
     assert ((scores == lowest).sum(dim=1) == 8).all()  # the eight planes outside
 
 
-def test_an_unguided_step_of_a_cascade_searches_all_planes():
-    net = build_model("msnet3d-cascade", max_disparity=128, hourglasses=1)
+def test_an_unguided_step_of_a_cascade_is_its_coarse_pass():
+    net = build_model("msnet3d-cascade", max_disparity=128)
     views = torch.randn(2, 1, 3, 32, 160)
     net.set_step(4)
-    assert net.outputs(*views).volume.shape[2] == 32
+    outputs = net.outputs(*views)
+    assert outputs.volume.shape == (1, 40, 16, 4, 20)
+    assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
+    assert outputs.disparity.shape == (1, 32, 160)
     net.set_step(5)
     outputs = net.outputs(*views)
-    assert outputs.volume.shape[2] == 16 and outputs.scores[0].shape[1] == 32
+    assert outputs.volume.shape == (1, 40, 16, 8, 40)
+    assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
 
 
 def test_a_network_cut_after_its_first_hourglass():

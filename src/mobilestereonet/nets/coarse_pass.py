@@ -49,9 +49,13 @@ def guidance_from_scores(scores: Tensor) -> Tensor:
         (B, D, H / 4, W / 4), interpolated between 1 (probability 1) and 0 (e^-8 and below), in the
         dtype of the scores.
     """
-    likely = scaled_log_probability(scores).unsqueeze(1)
-    fine = F.interpolate(likely, scale_factor=2, mode="trilinear", align_corners=False)
-    return fine.squeeze(1).to(scores.dtype)
+    return upsample_coarse(scaled_log_probability(scores)).to(scores.dtype)
+
+
+def upsample_coarse(values: Tensor) -> Tensor:
+    """Values of the coarse pass (B, D / 2, H, W) on the planes and pixels of the fine pass."""
+    fine = F.interpolate(values.unsqueeze(1), scale_factor=2, mode="trilinear", align_corners=False)
+    return fine.squeeze(1)
 
 
 def band_start(scores: Tensor, planes: int) -> Tensor:

@@ -23,6 +23,7 @@ from mobilestereonet.nets.coarse_pass import (
     guidance_from_scores,
     halve,
     spread_band,
+    upsample_coarse,
 )
 from mobilestereonet.nets.cost_volumes import Correlation, CostVolume, LearnedVolume
 from mobilestereonet.nets.features import FeatureExtraction, ResidualBlock, channel_reduction
@@ -34,7 +35,10 @@ from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 UNGUIDED_STEPS = 4
-"""Every n-th training step runs unguided, so that the network also learns the coarse pass."""
+"""Every n-th training step runs unguided, so that the network also learns the coarse pass.
+
+That of a cascade is the coarse pass itself, on views of half the size.
+"""
 
 
 class MobileStereoNet(VolumeModel):
@@ -82,12 +86,16 @@ class MobileStereoNet(VolumeModel):
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""
         self.check_views(left, right)
+        planes, band = self.config.planes, self.config.band_planes
+        if band and self.training and not self._guided:
+            volume = self.cost_volume(halve(left), halve(right), planes // 2)
+            scores = [upsample_coarse(scores) for scores in self.aggregate(volume)]
+            return VolumeOutputs(scores, volume, self.regression)
         guidance, start = self.guidance(left, right)
-        planes = self.config.planes if start is None else self.config.band_planes
-        volume = self.cost_volume(left, right, planes, start)
+        volume = self.cost_volume(left, right, planes if start is None else band, start)
         scores = self.aggregate(volume, guidance)
         if start is not None:
-            scores = [spread_band(band, start, self.config.planes) for band in scores]
+            scores = [spread_band(band, start, planes) for band in scores]
         return VolumeOutputs(scores, volume, self.regression)
 
     def cost_volume(
@@ -147,7 +155,7 @@ class MobileStereoNet(VolumeModel):
             Guidance (B, D, H / 4, W / 4) on the planes of the fine pass: zeros in an unguided
             training step (so that ``guide`` has a gradient in every step), None from a network
             without a coarse pass. And the first plane of each pixel's band, (B, H / 4, W / 4);
-            None where all planes are searched: without a band, and in unguided steps.
+            None where all planes are searched.
         """
         if not self.config.coarse_pass:
             return None, None
