@@ -174,13 +174,14 @@ def test_closed_form_at_its_limits():
     [
         ("msnet2d", {}),
         ("msnet3d", {"coarse_pass": True}),
+        ("msnet3d-cascade", {"max_disparity": 64, "band": 8}),
         ("baseline3d", {}),
         ("table2-concatenation", {}),
     ],
 )
 def test_form_for_training_shares_the_parameters_and_their_gradients(name, fields):
     torch.manual_seed(0)
-    plain = build_model(name, max_disparity=32, **fields).double()
+    plain = build_model(name, **{"max_disparity": 32, **fields}).double()
     plain.zero_residuals()  # fresh weights amplify rounding
     views = torch.randn(2, 1, 3, 32, 64, dtype=torch.float64)
     with torch.no_grad():

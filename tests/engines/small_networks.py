@@ -60,7 +60,8 @@ def make(kind):
 def make_msnet(name="msnet2d", **options):
     """A small network of the paper whose batch norms do something."""
     torch.manual_seed(0)
-    net = build_model(name, max_disparity=32, hourglasses=1, width=8, **options).eval()
+    small = {"max_disparity": 32, "hourglasses": 1, "width": 8}
+    net = build_model(name, **{**small, **options}).eval()
     net.zero_residuals()  # fresh weights would amplify rounding
     with torch.no_grad():
         for module in net.modules():

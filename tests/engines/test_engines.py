@@ -49,6 +49,7 @@ def cache(tmp_path_factory):
         ("msnet2d", {"estimator": "mode"}),
         ("msnet3d", {}),
         ("msnet3d", {"coarse_pass": True}),
+        ("msnet3d-cascade", {"max_disparity": 64, "band": 8}),
     ],
 )
 def test_every_size_gives_what_the_network_gives(name, network, options, cache):

@@ -75,16 +75,19 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
+@pytest.mark.parametrize(
+    "fields", [{"coarse_pass": True}, {"coarse_pass": True, "max_disparity": 64, "band": 8}]
+)
 @pytest.mark.parametrize("name", ["onnx", "openvino", "executorch", "litert"])
-def test_files_of_networks_with_a_coarse_pass(name, tmp_path):
+def test_files_of_networks_with_a_coarse_pass(name, fields, tmp_path):
     format_ = needs(name)
     torch.manual_seed(0)
-    net = build_model("msnet3d", **SMALL, groups=8, coarse_pass=True).eval()
+    net = build_model("msnet3d", **{**SMALL, "groups": 8, **fields}).eval()
     net.zero_residuals()
     torch.nn.init.normal_(net.guide.weight)
     output = tmp_path / f"small{format_.ending}"
-    assert export_model(name, net, output, model="small", size=(32, 64)).mean <= 1e-4
-    left, right = torch.rand(2, 1, 3, 32, 64)
+    assert export_model(name, net, output, model="small", size=(32, 96)).mean <= 1e-4
+    left, right = torch.rand(2, 1, 3, 32, 96)
     torch.testing.assert_close(
         format_.open(output)(left, right),
         expected(net, left, right),

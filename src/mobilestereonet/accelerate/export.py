@@ -17,11 +17,12 @@ from torch import Tensor, nn
 from mobilestereonet.accelerate.inference import guide_convolution
 from mobilestereonet.accelerate.modules import inference_copy
 from mobilestereonet.accelerate.norms import fold_norms
-from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume, correlated_band
+from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume
 from mobilestereonet.accelerate.slices import slice_layers
 from mobilestereonet.accelerate.soft_argmax import closed_form, upsample, use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.coarse_pass import (
+    BAND_STEP,
     band_start,
     cut_band,
     halve,
@@ -169,10 +170,17 @@ class ExportableMobileStereoNet(ExportableNet):
         return scores if self.gives_scores else closed_form(upsample(scores), self.estimator)
 
     def _scores(
-        self, views: Tensor, planes: int, guidance: Tensor | None = None, *start: Tensor
+        self,
+        views: Tensor,
+        planes: int,
+        guidance: Tensor | None = None,
+        start: Tensor | None = None,
     ) -> Tensor:
         left, right = self.reduction(self.features(views)).split(1)
-        blocks = list(self.volume(left, right, planes, *start))
+        if start is None:
+            blocks = list(self.volume(left, right, planes))
+        else:
+            blocks = list(banded([*self.volume(left, right, self.config.planes)], start, planes))
         if self.conv3d_as_2d:
             volume = torch.cat(blocks)
             guidance = None if guidance is None else guidance.transpose(0, 1)
@@ -254,13 +262,26 @@ class BlockwiseCorrelation(nn.Module):
         nn.init.constant_(self.mean.weight, volume.groups / channels)
         self.mean.to(like.device, like.dtype)
 
-    def forward(
-        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
-    ) -> Iterator[Tensor]:
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Iterator[Tensor]:
         """(1, C, H, W) twice -> so many planes (1, groups, H, W)."""
-        if start is not None:
-            yield from correlated_band(left, right, start, planes, self.mean.groups)
-            return
         yield self.mean(left * right)
         for i in range(1, planes):
             yield F.pad(self.mean(left[..., i:] * right[..., :-i]), (i, 0))
+
+
+def banded(volume: list[Tensor], start: Tensor, planes: int) -> Iterator[Tensor]:
+    """Planes of each pixel's band, chosen from all planes: that needs no size of the image.
+
+    Args:
+        volume: All planes, (1, groups, H, W) each.
+        start: First plane of each pixel's band, (1, H, W), see `band_start`.
+        planes: Planes of a band.
+
+    Yields:
+        Planes (1, groups, H, W).
+    """
+    for i in range(planes):
+        plane = volume[i]
+        for first in range(BAND_STEP, len(volume) - planes + 1, BAND_STEP):
+            plane = torch.where(start.unsqueeze(1) == first, volume[first + i], plane)
+        yield plane

@@ -82,12 +82,10 @@ def band_start(scores: Tensor, planes: int) -> Tensor:
 
 def band_weights(planes: int, band: int) -> Tensor:
     """Weight of each of the planes in each possible band: (number of bands, planes)."""
+    bump = [math.sin(math.pi * (i + 0.5) / band) for i in range(band)]
     starts = range(0, planes - band + 1, BAND_STEP)
-    weights = torch.zeros(len(starts), planes, dtype=torch.float64)
-    bump = torch.sin(math.pi * (torch.arange(band, dtype=torch.float64) + 0.5) / band)
-    for row, start in zip(weights, starts, strict=True):
-        row[start : start + band] = bump
-    return weights
+    rows = [[0.0] * start + bump + [0.0] * (planes - band - start) for start in starts]
+    return torch.tensor(rows, dtype=torch.float64)
 
 
 def cut_band(volume: Tensor, start: Tensor, planes: int) -> Tensor:
