@@ -17,10 +17,10 @@ import pytest
         (["train", "RUN", "--textures", "RUN/none"], "no folder RUN/none"),
         (["train", "RUN", "--resume"], "RUN holds no run: there is no recipe.json"),
         (["train", "RUN", "--precision", "fp99"], "fp99"),
-        (["ablate", "RUN", "--table", "7"], "unknown table"),
+        (["ablate", "RUN", "--table", "7"], "--table 7: there are 2, 3a"),
         (["ablate", "RUN", "--models", "msnet2d, msnet4d"], "unknown model 'msnet4d'"),
         (["ablate", "RUN", "--set", "weights=msnet2d"], "not from msnet2d: leave weights out"),
-        (["plot-run", "RUN"], "metrics.csv"),
+        (["plot-run", "RUN"], "no folder RUN"),
         (["data", "preview", "kitti2015", "-o", "RUN/x.png"], "--root DIR"),
     ],
 )

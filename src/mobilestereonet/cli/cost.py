@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mobilestereonet.cli.early import network_name
+from mobilestereonet.cli.engine import NetworkValues, network_values
+from mobilestereonet.cli.options import AsJson
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,17 +24,13 @@ def cost(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d."
+            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d.",
+            callback=network_name,
         ),
     ] = None,
     height: Annotated[int, typer.Option(help="Height of a view, in pixels.")] = _SIZE[0],
     width: Annotated[int, typer.Option(help="Width of a view, in pixels.")] = _SIZE[1],
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Change a value of the network, such as net.max_disparity=96. Repeatable."
-        ),
-    ] = None,
+    settings: NetworkValues = None,
     paper: Annotated[
         bool, typer.Option("--paper", help="Print the paper's cost figures beside ours.")
     ] = False,
@@ -39,7 +38,7 @@ def cost(
         Path | None,
         typer.Option(help="With --paper: draw its figure of the expansion factor, as PNG."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Count MACs and parameters, exactly and as the paper counts."""
     if paper:
@@ -57,7 +56,6 @@ def cost(
 
 
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
-    from mobilestereonet.cli.engine import network_values
     from mobilestereonet.costs import count_costs
     from mobilestereonet.nets import model_config
     from mobilestereonet.settings import override
