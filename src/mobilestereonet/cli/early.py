@@ -23,7 +23,9 @@ ENGINES = ("torch", "onnxruntime", "openvino")
 
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
-RECIPES = ("procedural", "procedural-plain", "paper-sceneflow", "paper-kitti2015")
+_PACKAGE = Path(__file__).parents[1]
+
+RECIPES = tuple(sorted(path.stem for path in (_PACKAGE / "training/recipes").glob("*.yaml")))
 
 TRAINING_PRECISIONS = (
     *("32-true", "bf16-mixed", "16-mixed", "bf16-true", "16-true", "64-true"),
@@ -62,7 +64,6 @@ DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")
 POINTS_ENDINGS = (".ply", ".glb")
 VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
 
-_PACKAGE = Path(__file__).parents[1]
 _WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"

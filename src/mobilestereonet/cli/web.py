@@ -40,7 +40,7 @@ def web(
     from mobilestereonet.engines.sgbm import StereoSGBM
     from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
     from mobilestereonet.web.examples import examples
-    from mobilestereonet.web.page import PageConfig
+    from mobilestereonet.web.handlers import PageConfig
     from mobilestereonet.web.server import running
     from mobilestereonet.web.uploads import UploadLimits
     from mobilestereonet.weights import embedded_models, load_model
