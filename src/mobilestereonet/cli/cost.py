@@ -32,7 +32,7 @@ def cost(
     width: Annotated[int, typer.Option(help="Width of a view, in pixels.")] = _SIZE[1],
     settings: NetworkValues = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="Print the paper's cost figures beside ours.")
+        bool, typer.Option("--paper", help="Print the paper's cost figures, counted and printed.")
     ] = False,
     plot: Annotated[
         Path | None,
@@ -111,9 +111,13 @@ def _print_paper(plot: Path | None, as_json: bool) -> None:
         _print_rows(table)
     _print_table(
         "Model size: checkpoint file in MB (1e6 bytes)",
-        ["model", "ours", "paper"],
+        ["model", "measured", "paper"],
         [
-            [size.model, "" if size.ours is None else f"{size.ours:.2f}", f"{size.printed:.2f}"]
+            [
+                size.model,
+                "" if size.measured is None else f"{size.measured:.2f}",
+                f"{size.printed:.2f}",
+            ]
             for size in tables.model_sizes()
         ],
     )
@@ -153,17 +157,17 @@ def _print_blocks() -> None:
 
 
 def _print_rows(table: PaperTable) -> None:
-    """A table with costs (ours and printed) and printed errors, and the notes to its cells."""
+    """A table with costs (counted and printed) and printed errors, and the notes to its cells."""
     errors = list(dict.fromkeys(error for row in table.rows for error in row.errors))
     headers = ["row", *errors]
     if any(row.cells for row in table.rows):
-        headers += ["MACs G\nours", "\npaper", "params M\nours", "\npaper"]
+        headers += ["MACs G\ncounted", "\npaper", "params M\ncounted", "\npaper"]
     lines = []
     for row in table.rows:
         line = [row.name]
         line += [f"{row.errors[error]:.2f}" if error in row.errors else "" for error in errors]
         for cell in row.cells:
-            line += [f"{cell.ours:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
+            line += [f"{cell.counted:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
         lines.append(line)
     _print_table(f"{table.name}: {table.caption}", headers, lines)
     for cell in (cell for row in table.rows for cell in row.cells if cell.note):
