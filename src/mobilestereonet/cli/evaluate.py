@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -66,8 +67,6 @@ def evaluate(
     ] = None,
 ) -> None:
     """Score models on a data set: EPE, D1 and px-n over all its masks."""
-    from dataclasses import replace
-
     models: list[str | None] = [*model] if model else [None]
     if options.weights is not None and len(models) > 1:
         raise InputError(
