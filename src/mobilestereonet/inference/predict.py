@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.threads import use_threads
 from mobilestereonet.errors import InputError
@@ -21,7 +22,6 @@ from mobilestereonet.inference.pair import StereoPair
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS, TILE_SIZE, match_in_tiles
 from mobilestereonet.nets.model import Prediction
-from mobilestereonet.nets.operations import pad, unpad
 
 Size: TypeAlias = tuple[int, int]
 """Height and width in px."""
