@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from mobilestereonet.accelerate import fused
-from mobilestereonet.accelerate.fused import FusedConv, has_onednn_operators
+from mobilestereonet.accelerate import onednn
+from mobilestereonet.accelerate.onednn import FusedConv, has_onednn_operators
 
 
 @pytest.fixture
@@ -17,10 +17,10 @@ def fresh_detection():
 
 @pytest.mark.parametrize("size", [(5, 6), (1, 1)])
 @pytest.mark.parametrize("activation", ["none", "relu", "relu6"])
-@pytest.mark.parametrize("onednn", [True, False])
-def test_equals_the_layers(size, activation, onednn, monkeypatch):
-    if not onednn:
-        monkeypatch.setattr(fused, "has_onednn_operators", lambda dtype: False)
+@pytest.mark.parametrize("by_onednn", [True, False])
+def test_equals_the_layers(size, activation, by_onednn, monkeypatch):
+    if not by_onednn:
+        monkeypatch.setattr(onednn, "has_onednn_operators", lambda dtype: False)
     torch.manual_seed(0)
     conv = nn.Conv2d(4, 8, 3, padding=1, groups=2)
     layer = FusedConv(conv, activation)
@@ -36,11 +36,11 @@ def test_missing_operators_are_detected(monkeypatch):
     def missing(*arguments, **options):
         raise AttributeError("'_OpNamespace' 'mkldnn' object has no attribute")
 
-    monkeypatch.setattr(fused, "_onednn", missing)
+    monkeypatch.setattr(onednn, "_onednn", missing)
     assert not has_onednn_operators(torch.float32)
 
 
 @pytest.mark.usefixtures("fresh_detection")
 def test_operators_with_another_meaning_are_detected(monkeypatch):
-    monkeypatch.setattr(fused, "_onednn_sum", lambda x, other, *rest: fused._onednn(x, *rest))
+    monkeypatch.setattr(onednn, "_onednn_sum", lambda x, other, *rest: onednn._onednn(x, *rest))
     assert not has_onednn_operators(torch.float32)

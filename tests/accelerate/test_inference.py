@@ -5,9 +5,9 @@ import torch
 from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from mobilestereonet.accelerate import accelerate, fused
+from mobilestereonet.accelerate import accelerate, onednn, rows
 from mobilestereonet.accelerate.export import guidance_in_four_dimensions
-from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
+from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.inference import (
     columns_first,
     drop_training_heads,
@@ -15,6 +15,7 @@ from mobilestereonet.accelerate.inference import (
     volume_by_planes,
 )
 from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.rows import process_by_rows
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
@@ -58,8 +59,8 @@ def network(name, **fields):
 
 def slices_of(monkeypatch, size):
     """Cut blocks into slices of about ``size`` bytes: at these sizes one would hold them whole."""
-    monkeypatch.setattr(fused, "SLICE_BYTES", size)
-    monkeypatch.setattr(fused, "MIN_ROWS", 1)
+    monkeypatch.setattr(rows, "SLICE_BYTES", size)
+    monkeypatch.setattr(rows, "MIN_ROWS", 1)
 
 
 CASCADE = ("msnet3d-cascade", {"max_disparity": 64, "band": 8})
@@ -202,7 +203,7 @@ def operators(net):
 
 @pytest.mark.parametrize(("name", "calls"), [("msnet2d", 690), ("msnet3d", 700)])
 def test_number_of_operators(name, calls):
-    fused.has_onednn_operators(torch.float32)  # at its first call it runs some itself
+    onednn.has_onednn_operators(torch.float32)  # at its first call it runs some itself
     net = build_model(name, max_disparity=32).eval()
     plain, fast = operators(net), operators(accelerate(net, "inference"))
     # Norms and all activations after convolutions are gone; the ReLU of a sum and of the cost

@@ -172,6 +172,17 @@ def test_subclasses_of_the_papers_network_keep_what_they_change():
         torch.testing.assert_close(graph, expected, rtol=0, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("own", "wide"), [("float16", "float32"), ("float32", "float32"), ("float64", "float64")]
+)
+def test_the_form_for_export_is_wide(own, wide):
+    net = build_model("msnet2d", max_disparity=32).to(getattr(torch, own))
+    form = accelerate(net, "export")
+    assert {weight.dtype for weight in form.parameters()} == {getattr(torch, wide)}
+    assert {weight.dtype for weight in net.parameters()} == {getattr(torch, own)}
+    assert net.training
+
+
 def test_forms_of_forms_are_refused():
     fast = accelerate(build_model("msnet2d", max_disparity=32), "training")
     with pytest.raises(InputError, match="is its form for training: give the plain one"):

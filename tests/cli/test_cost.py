@@ -81,8 +81,8 @@ def test_paper_json(msnet):
         "Finals",
         "Peers",
     }
-    assert all(set(r) == {"table", "row", "what", "ours", "printed"} for r in records)
-    final = {r["what"]: r["ours"] for r in records if r["row"] == "3D-MobileStereoNet"}
+    assert all(set(r) == {"table", "row", "what", "counted", "printed"} for r in records)
+    final = {r["what"]: r["counted"] for r in records if r["row"] == "3D-MobileStereoNet"}
     assert final == pytest.approx({"macs": 153.141, "params": 1.770}, abs=0.001)
 
 

@@ -1,115 +1,192 @@
 """Mistakes on the command line are told before PyTorch is imported."""
 
+import json
 import subprocess
 import sys
+from typing import get_args
 
 import pytest
 
 from mobilestereonet.cli import early
-from mobilestereonet.cli.early import ENGINES, UNITS, check_values
-from mobilestereonet.data import camera_files
+from mobilestereonet.cli.early import check_registered, check_trained
+from mobilestereonet.data import camera_files, scanners
 from mobilestereonet.data.depth_files import DEPTH_FORMATS
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
+from mobilestereonet.evaluation import BENCHMARKS
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference.geometry import POINT_FORMATS
+from mobilestereonet.nets import list_models
+from mobilestereonet.paper import ablate
+from mobilestereonet.streams import maps, video_files
 from mobilestereonet.training import recipe
 
 PROGRAM = """
-import sys
+import contextlib, io, json, sys
 from mobilestereonet.cli.main import main
-try:
-    main()
-finally:
-    heavy = {"torch", "numpy", "cv2"} & set(sys.modules)
-    assert not heavy, heavy
+
+class Refuser:
+    def find_spec(self, name, *_):
+        if name in ("torch", "numpy", "cv2"):
+            sys.exit(f"imports {name}")
+
+sys.meta_path.insert(0, Refuser())
+for line in sys.stdin.read().splitlines():
+    sys.argv = ["msnet", *line.split()]
+    with contextlib.redirect_stderr(io.StringIO()) as told:
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code
+    print(json.dumps([code, told.getvalue()]))
 """
+"""Commands one after the other; what takes long to import ends a command."""
+
+NETWORK = ("--model msnet4d", "--model absent.ckpt", "--model onnx:absent.onnx")
+NETWORK += ("--model baseline2d", "--model my_net.py:MyNet", "--weights absent.ckpt", "--set mean")
+NETWORK += ("--model sgbm --weights absent.ckpt", "--model my_net.py:")
+ENGINE = ("--threads 0", "--device cuda:x")
+MATCHER = (*NETWORK, *ENGINE, "--runtime openvin", "--precision fp64")
+MATCHER += ("--model sgbm --precision bf16", "--model sgbm --runtime openvino")
+CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit cm")
+CALIBRATION += ("--calib-left absent.txt", "--focal 900 --calib left.png")
+TRAINING = ("--precision fp16", "--accelerator gpus", "--recipe procedurel", "--set lr")
+TRAINING += ("--root absent", "--textures absent", "--workers -1")
+PAIR = "left.png right.png"
+
+MISTAKES = {
+    "demo": MATCHER,
+    f"predict {PAIR} -o out": (
+        "--set estimator=mean",
+        *(*MATCHER, *CALIBRATION, "--depth depth.jpg", "--points points.stl", "--max-depth 3"),
+        *("--focal 900 --baseline 0.2", "--depth depth.npy", "--min-confidence 2", "--tile 3"),
+    ),
+    "predict absent.png right.png -o out": ("",),
+    "predict left.png absent.png -o out": ("",),
+    f"doctor {PAIR}": ("--max-disparity 0",),
+    "doctor absent.png absent.png": ("",),
+    f"rectify {PAIR} -o out": ("--calib absent.yml", "--calib left.png --unit cm"),
+    "rectify absent.png absent.png --calib left.png -o out": ("",),
+    "video left.mp4": (
+        "",
+        "--output out.avi",
+        "--output out.mp4 --resume",
+        "--frames out --beside",
+    ),
+    "video left.mp4 --frames out": (*MATCHER, *CALIBRATION, "--fps 0"),
+    "batch left right -o out": (*MATCHER, *CALIBRATION, "--write depth.jpg", "--workers 0"),
+    "models": ("msnet4d", "my_net.py:MyNet"),
+    "cost": ("--model msnet4d", "--set planes=3", "--plot out.png", "--paper --height 3"),
+    "evaluate --data folder --root .": (
+        *(*MATCHER[:-1], "--set left", "--batch-size 0", "--root absent"),
+        "--model msnet2d --model msnet3d --weights left.png",
+    ),
+    "evaluate --data kitty2015 --root .": ("",),
+    "submit kitti2015 --root . -o out.zip": (*MATCHER, "--size T", "--root absent"),
+    "submit kitty2015 --root . -o out.zip": ("",),
+    "train run": (
+        *(*TRAINING, "--model msnet4d", "--model my_net.py:MyNet", "--weights absent.ckpt"),
+        *("--max-time 3h", "--devices 0", "--num-nodes 0"),
+    ),
+    "ablate runs": (*TRAINING, "--table 4", "--models msnet2d,msnet4d", "--steps 0"),
+    "average left.ckpt -o out.safetensors": ("",),
+    "average msnet2d": ("-o out.ckpt", "-o out.safetensors --model msnet4d"),
+    "plot-run absent": ("",),
+    "export": ("", "onx"),
+    "export onnx": (*NETWORK, "--precision fp8", "--calibration absent", "--model sgbm"),
+    "bench": (*NETWORK, *ENGINE, "--size 0 32", "--repeats 0"),
+    "web": ("--precision fp64", *ENGINE, "--set mean", "--port 0x"),
+    "data preview kitty2015 -o out.png": ("",),
+    "data preview folder -o out.png": ("", "--root absent", "--set left"),
+    "data preview procedural -o out.png": ("--textures absent", "--count 0", "--seed -1"),
+}
+"""Values that are wrong by themselves, by command; in a folder that has a left and a right view."""
 
 
-@pytest.fixture
-def views(tmp_path):
+MESSAGES = {
+    f"predict {PAIR} -o out --runtime openvin": "--runtime openvin: did you mean openvino?",
+    f"predict {PAIR} -o out --precision fp64": "did you mean fp16? There are auto, fp32",
+    f"predict {PAIR} -o out --device cuda:x": "write it as auto, cpu, cuda or cuda:1",
+    f"predict {PAIR} -o out --model msnet4d": "did you mean msnet",
+    f"predict {PAIR} -o out --model baseline2d": "need --weights FILE",
+    f"predict {PAIR} -o out --model absent.ckpt": "absent.ckpt: no such file",
+    f"predict {PAIR} -o out --model my_net.py:MyNet": "there is no file my_net.py",
+    f"predict {PAIR} -o out --model onnx:absent.onnx": "there is no file absent.onnx",
+    f"predict {PAIR} -o out --calib absent.txt": "absent.txt: no such file",
+    f"predict {PAIR} -o out --depth depth.jpg": "depth is written as .png, .npy, .tif, .tiff",
+    f"predict {PAIR} -o out --set mean": "'mean': write it as key=value",
+    "predict absent.png right.png -o out": "absent.png: no such file",
+    "train run --recipe procedurel": "--recipe procedurel: did you mean procedural? There",
+    "train run --precision fp16": "--precision fp16: did you mean bf16? There are 32-true",
+    "train run --max-time 3h": "--max-time 3h: write it as DD:HH:MM:SS",
+    "cost --model msnet4d": "unknown model 'msnet4d': did you mean msnet",
+    "export onx": "format onx: did you mean onnx? There are onnx, openvino",
+    "evaluate --data kitty2015 --root .": "did you mean kitti2015? There are drivingstereo",
+    "video in.mp4": "nothing to write: give --output VIDEO, --frames FOLDER or both",
+}
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """What the commands say in a folder with two views: exit code and text of each."""
+    folder = tmp_path_factory.mktemp("folder")
     for name in ("left.png", "right.png"):
-        (tmp_path / name).touch()
-    return tmp_path / "left.png", tmp_path / "right.png", "-o", tmp_path
+        (folder / name).touch()
+    commands = [f"{command} {bad}" for command, values in MISTAKES.items() for bad in values]
+    commands += MESSAGES
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        input="\n".join(commands),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(zip(commands, map(json.loads, done.stdout.splitlines()), strict=True))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--runtime", "openvin"), "--runtime openvin: did you mean openvino?"),
-        (("--precision", "fp64"), "--precision fp64: did you mean fp16? There are auto, fp32"),
-        (("--device", "cuda:x"), "--device cuda:x: write it as auto, cpu, cuda or cuda:1"),
-        (("--model", "msnet4d"), "did you mean msnet"),
-        (("--model", "baseline2d"), "need --weights FILE"),
-        (("--model", "absent.ckpt"), "absent.ckpt: no such file"),
-        (("--model", "my_net.py:MyNet"), "there is no file my_net.py"),
-        (("--model", "onnx:absent.onnx"), "there is no file absent.onnx"),
-        (("--calib", "absent.txt"), "absent.txt: no such file"),
-        (("--depth", "depth.jpg"), "depth.jpg: depth is written as .png, .npy, .tif, .tiff"),
-        (("--weights", "nope.ckpt"), "msnet: nope.ckpt: no such file"),
-        (("--unit", "cm"), "--unit cm: "),
-    ],
-)
-def test_mistakes_are_told_before_heavy_imports(views, arguments, message):
-    command = [sys.executable, "-c", PROGRAM, "predict", *map(str, views), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_mistakes_are_told_before_heavy_imports(told):
+    assert not {command: answer for command, answer in told.items() if answer[0] != 2}
 
 
-@pytest.mark.parametrize("command", ["predict", "doctor", "rectify"])
-def test_an_absent_view(command, tmp_path):
-    arguments = [command, str(tmp_path / "absent.png"), str(tmp_path / "absent.png")]
-    arguments += ["-o", str(tmp_path)] if command == "predict" else []
-    arguments += ["-o", str(tmp_path), "--calib", "absent.yml"] if command == "rectify" else []
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert "absent.png: no such file" in done.stderr
+@pytest.mark.parametrize("command", MESSAGES)
+def test_what_is_said_of_a_mistake(told, command):
+    _, text = told[command]
+    assert MESSAGES[command] in text
+    assert text.startswith("msnet: ")
+    assert text.count("\n") == 1
 
 
-def test_the_engines_are_those_that_there_are():
-    assert set(ENGINES) == set(choose.ENGINES)
+def test_the_names_are_those_of_the_rooms():
+    assert set(early.ENGINES) == set(choose.ENGINES)
     assert set(early.RECIPES) == set(recipe.RECIPES)
     assert set(early.FORMATS) == set(FORMATS)
-    endings = {"depth": DEPTH_FORMATS, "points": POINT_FORMATS}
-    assert endings == early.OUTPUT_ENDINGS
+    assert set(early.EXPORT_PRECISIONS) == {p for f in FORMATS.values() for p in f.precisions}
+    assert set(early.BENCHMARKS) == set(BENCHMARKS)
+    assert {size for benchmark in BENCHMARKS.values() for size in benchmark.sizes} == {
+        *early.BENCHMARK_SIZES
+    }
+    assert set(early.TABLES) == set(ablate.TABLES)
+    assert set(early.MAP_KINDS) == set(maps.MAP_KINDS)
+    assert set(early.UNITS) == set(camera_files._METRES)
+    assert early.DEPTH_ENDINGS == DEPTH_FORMATS
+    assert early.POINTS_ENDINGS == POINT_FORMATS
+    assert early.VIDEO_ENDINGS == video_files.VIDEO_FORMATS
+    assert set(early.data_sets()) == set(scanners.data_sets())
+    for name in list_models():
+        check_registered(name)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--recipe", "procedurel"), "--recipe procedurel: did you mean procedural? There are"),
-        (("--set", "lr"), "'lr': write it as key=value"),
-    ],
-)
-def test_mistakes_of_train(tmp_path, arguments, message):
-    command = [sys.executable, "-c", PROGRAM, "train", str(tmp_path), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
+def test_the_precisions_of_training_are_lightnings():
+    connector = pytest.importorskip("lightning.fabric.connector")
+    known = get_args(connector._PRECISION_INPUT_STR)
+    aliases = get_args(connector._PRECISION_INPUT_STR_ALIAS)
+    assert set(early.TRAINING_PRECISIONS) == {*known, *aliases}
 
 
-def test_the_units_are_those_that_there_are():
-    assert set(UNITS) == set(camera_files._METRES)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("export", "onx"), "format onx: did you mean onnx? There are onnx, openvino"),
-        (("video", "in.mp4"), "nothing to write: give --output VIDEO, --frames FOLDER or both"),
-    ],
-)
-def test_mistakes_of_other_commands(arguments, message):
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
-
-
-def test_training_takes_networks_without_weights():
-    check_values({"model": "baseline2d", "weights": None, "recipe": "procedural"})
+def test_weights_tell_a_networks_name(tmp_path):
+    check_trained("baseline2d", tmp_path)
     with pytest.raises(InputError, match="need --weights FILE"):
-        check_values({"model": "baseline2d", "weights": None})
+        check_trained("baseline2d", None)
+    with pytest.raises(InputError, match="unknown model 'msnet4d'"):
+        check_trained("msnet4d", tmp_path)

@@ -13,6 +13,7 @@ from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
 from mobilestereonet import StereoMatcher, __version__, create_model, save_weights
+from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.engines.torch import TorchEngine
 from mobilestereonet.weights import embedded
 
@@ -186,7 +187,7 @@ def test_demo_says_when_the_faster_model_was_not_faster(msnet, tmp_path, monkeyp
 
     monkeypatch.setattr(StereoMatcher, "match", timed)
     opened = StereoMatcher.from_pretrained("sgbm")
-    monkeypatch.setattr("mobilestereonet.cli.engine.open_matcher", lambda *_: opened)
+    monkeypatch.setattr(MatcherOptions, "open_matcher", lambda _: opened)
     code, out, _ = msnet("demo", "-o", tmp_path)
     assert code == 0
     assert ("other programs use the cores: the times mean little" in out) is not faster

@@ -95,7 +95,7 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
     [
         (("--depth", "d.npy"), "depth and points need --calib FILE, or --focal and --baseline"),
         (("--points", "p.ply", "--baseline", 1), "--baseline needs --focal, too"),
-        (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "cm"), "there are m, mm"),
+        (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "cm"), "There are m, mm"),
         (("--points", "p.ply", "--focal", 500), "--focal needs --baseline, too"),
         (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),
         (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
@@ -106,7 +106,7 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--depth", "d.npy", "--calib", "half.txt"), "by 2 (focal 1000, doffs 10)"),
         (("--min-confidence", 1), "are for --points FILE: add it, or leave them out"),
         (("--max-depth", 9), "are for --points FILE"),
-        (("--calib", "left.png"), "left.png: unknown calibration format"),
+        (("--calib", "left.png", "--depth", "d.npy"), "left.png: unknown calibration format"),
         (("--depth", "d.exr"), "d.exr: depth is written as"),
         (("--points", "p.obj"), "p.obj: points are written as"),
         (("--confidence",), "sgbm has no confidence"),

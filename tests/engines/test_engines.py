@@ -14,13 +14,14 @@ from small_networks import make_msnet
 from torch.fx.node import map_arg
 
 from mobilestereonet import InputError
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.engines import converted
 from mobilestereonet.engines.choose import CONVERTED, ENGINES, open_engine
 from mobilestereonet.engines.converted import _checksum, _forget_old
 from mobilestereonet.engines.onnxruntime import OnnxRuntimeEngine
 from mobilestereonet.engines.openvino import OpenVinoEngine
 from mobilestereonet.engines.torch import has_bfloat16
-from mobilestereonet.engines.tracing import example_pair, exportable
+from mobilestereonet.engines.tracing import example_pair
 
 CPU = torch.device("cpu")
 CONVERTED_ENGINES = [
@@ -152,7 +153,7 @@ def test_a_changed_conversion_has_another_version():
         pytest.skip(f"no graphs recorded with PyTorch {torch_version}")
     digest = hashlib.sha256()
     for name, options in (("msnet2d", {}), ("msnet3d", {"coarse_pass": True})):
-        network = exportable(make_msnet(name, **options), scores=True)
+        network = accelerate(make_msnet(name, **options), "export", scores=True)
         program = torch.export.export(network, example_pair(network))
         for node in program.graph.nodes:  # operators, their constants and shapes, but no names
             target = node.target if node.op == "call_function" else node.op

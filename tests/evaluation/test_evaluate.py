@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from mobilestereonet.cli.evaluate import evaluate as command
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.evaluate import evaluate as run_command
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import Calibration, StereoSample
@@ -195,6 +196,10 @@ def kitti(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:kitti2015")
+def command(data, root, model=None, weights=None, **values):
+    run_command(data, root, options=MatcherOptions(weights=weights), model=model, **values)
+
+
 def test_command(kitti, tmp_path, capsys):
     report, pictures = tmp_path / "report.json", tmp_path / "pictures"
     command("kitti2015", kitti, ["sgbm"], batch_size=2, json=report, pictures=pictures)
@@ -254,7 +259,7 @@ def test_command_with_bad_input(kitti, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="unknown data set 'kitty': did you mean"):
         command("kitty", kitti, ["sgbm"])
     with pytest.raises(InputError, match="no option 'size'"):
-        command("kitti2015", kitti, ["sgbm"], assignments=["size=H"])
+        command("kitti2015", kitti, ["sgbm"], settings=["size=H"])
     (kitti / "training").rename(kitti / "testing")
     with pytest.raises(InputError, match="no ground truth: choose another split"):
         command("kitti2015", kitti, ["sgbm"], split="testing")

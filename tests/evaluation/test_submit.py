@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.submit import submit as command
 from mobilestereonet.data.files import read_pfm, write_pfm, write_png
 from mobilestereonet.data.sample import StereoSample
@@ -232,10 +233,11 @@ def _frames(folder, count):
 
 def test_command(tmp_path, capsys):
     _frames(tmp_path / "kitti", 195)
-    command("kitti2012", tmp_path / "kitti", tmp_path / "out.zip", "sgbm")
+    sgbm = MatcherOptions(model="sgbm")
+    command("kitti2012", tmp_path / "kitti", tmp_path / "out.zip", options=sgbm)
     assert "195 disparity maps; names" in capsys.readouterr().out
     with pytest.raises(InputError, match="is a folder: name the ZIP file"):
-        command("kitti2012", tmp_path / "kitti", tmp_path, "sgbm")
+        command("kitti2012", tmp_path / "kitti", tmp_path, options=sgbm)
     with zipfile.ZipFile(tmp_path / "out.zip") as file:
         values = cv2.imdecode(np.frombuffer(file.read("000194_10.png"), np.uint8), -1)
     assert values.shape == (16, 32) and np.median(values) == 4 * 256

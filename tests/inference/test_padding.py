@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.inference.tiling import BLEND_PX, CONTEXT_PX, match_in_tiles
-from mobilestereonet.nets.operations import pad, unpad
 
 sides = st.integers(2, 70)
 

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import differences
 from mobilestereonet.training.recipe import (
+    RECIPE_FILES,
     RECIPES,
     Recipe,
     get_recipe,
@@ -198,3 +200,11 @@ def test_any_recipe_comes_back_from_its_json(name, values):
         path = Path(folder) / "recipe.json"
         path.write_text(recipe.to_json(), "utf-8")
         assert read_recipe(path) == recipe
+
+
+def test_named_recipes_are_commented_files():
+    assert [path.stem for path in RECIPE_FILES] == list(RECIPES)
+    assert all(path.read_text("utf-8").startswith("# ") for path in RECIPE_FILES)
+    changed = differences(RECIPES["procedural-plain"], RECIPES["procedural"])
+    names = {"full_heads", "cross_entropy", "volume_cross_entropy", "zero_residuals"}
+    assert changed.keys() == {"net.estimator", *names}

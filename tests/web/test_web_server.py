@@ -20,7 +20,8 @@ from mobilestereonet.web.uploads import UploadLimits
 
 gr = need_extra("gradio")
 
-from mobilestereonet.web.page import Handlers, PageConfig, build_page  # noqa: E402
+from mobilestereonet.web.handlers import Handlers, PageConfig  # noqa: E402
+from mobilestereonet.web.page import build_page  # noqa: E402
 from mobilestereonet.web.server import running  # noqa: E402
 
 PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
@@ -197,7 +198,7 @@ def test_a_match_that_still_writes_at_the_end_leaves_nothing(config, monkeypatch
         finally:
             written.set()
 
-    monkeypatch.setattr("mobilestereonet.web.page.answer", slow)
+    monkeypatch.setattr("mobilestereonet.web.handlers.answer", slow)
     with running(config) as address:
         join(address.rstrip("/"), "click", ["msnet2d", "torch", 0, 0, 0, 0, 0.5])
         assert writing.wait(20)

@@ -52,10 +52,10 @@ class ExportableNet(nn.Module):
     any_size = False
 
     def __init__(self, net: StereoModel, *, rgb: bool = False, scores: bool = False) -> None:
-        """Rewrite a copy of a network.
+        """Rewrite a copy of a network, on the CPU, in float32 or, as it is, float64.
 
         Args:
-            net: The network, with any weights.
+            net: The network, with any weights, in any mode and on any device; it stays as it is.
             rgb: Take RGB in 0..1 and preprocess it inside; otherwise preprocessed views.
             scores: Give the last head's scores at their own resolution in place of the disparity.
 
@@ -69,7 +69,9 @@ class ExportableNet(nn.Module):
         self.max_disparity, self.size_multiple = net.max_disparity, net.size_multiple
         self.min_width = max(net.max_disparity + net.size_multiple, net.min_side)
         self.rgb, self.gives_scores = rgb, scores
-        net = inference_copy(net)
+        net = inference_copy(net).cpu()
+        dtype = next((weight.dtype for weight in net.parameters()), torch.float32)
+        net.to(torch.promote_types(dtype, torch.float32))
         fold_norms(net)
         self._build(net)
         self.requires_grad_(False).eval()
@@ -107,8 +109,8 @@ def exportable_form(
     """A copy of a network for export.
 
     Args:
-        net: The network, with any weights.
-        rgb: See `ExportableNet`.
+        net: See `ExportableNet`.
+        rgb: Likewise.
         scores: Likewise.
         conv3d_as_2d: Write 3D layers as 2D layers on slices, where the network's form for export
             has that: for converters without 3D convolutions, or engines that are slow at them.

@@ -14,7 +14,7 @@ from torch.nn.utils import (
     convert_conv3d_weight_memory_format,
 )
 
-from mobilestereonet.accelerate.fused import fuse_convolutions, process_by_rows
+from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import (
@@ -22,6 +22,7 @@ from mobilestereonet.accelerate.planewise import (
     PlanewiseLearnedVolume,
     StackedPlanes,
 )
+from mobilestereonet.accelerate.rows import process_by_rows
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel

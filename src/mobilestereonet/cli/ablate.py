@@ -7,71 +7,55 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.training_options import (
-    Accelerator,
-    Precision,
-    Progress,
-    Root,
-    Textures,
-    Workers,
-)
+from mobilestereonet.cli.early import TABLES, check_network, one_of
+from mobilestereonet.cli.options import Recipe
+from mobilestereonet.cli.training_options import RecipeOptions, TrainerOptions
 
 
 def ablate(
     folder: Annotated[Path, typer.Argument(help="Folder of the runs, one folder each.")],
     table: Annotated[
-        str, typer.Option(help="The paper's table: 2, 3a, 3b, appendix2d or appendix3d.")
+        str,
+        typer.Option(
+            help=f"The paper's table: {', '.join(TABLES[:-1])} or {TABLES[-1]}.",
+            callback=one_of(TABLES),
+        ),
     ] = "2",
     models: Annotated[
-        str | None, typer.Option(help="Networks instead of a table's, such as msnet2d,msnet3d.")
+        str | None,
+        typer.Option(
+            help="Networks instead of a table's, such as msnet2d,msnet3d.",
+        ),
     ] = None,
-    recipe: Annotated[
-        str,
-        typer.Option(help="procedural, procedural-plain, paper-sceneflow or paper-kitti2015."),
-    ] = "procedural",
+    recipe: Recipe = "procedural",
     steps: Annotated[
         int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
     ] = None,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Override a value of the recipe; see msnet train."),
-    ] = None,
-    root: Root = None,
-    textures: Textures = None,
-    precision: Precision = "32-true",
-    accelerator: Accelerator = "auto",
-    workers: Workers = 0,
-    progress: Progress = True,
+    *,
+    options: RecipeOptions,
+    trainer: TrainerOptions,
 ) -> None:
     """Train and score several networks under one recipe, beside the paper's figures.
 
     Start it again to go on where it stopped, such as by Ctrl-C.
     """
+    chosen_names = [name.strip() for name in models.split(",")] if models else []
+    for name in chosen_names:
+        check_network("--models", name)
+
     from rich.console import Console
 
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models
-    from mobilestereonet.settings import parse_assignments
     from mobilestereonet.training.recipe import get_recipe, override
 
-    values = parse_assignments(assignments or [])
+    values = options.values
     if steps is not None:
         values |= {"steps": steps, "epochs": None}
-    paths = {"root": root, "textures": textures}
-    values |= {name: str(path) for name, path in paths.items() if path is not None}
-    chosen = override(get_recipe(recipe), values)
-    names = [model.strip() for model in models.split(",")] if models else table_models(table)
-    names = list(dict.fromkeys(names))
+    chosen = override(get_recipe(str(recipe)), values)
+    names = list(dict.fromkeys(chosen_names or table_models(table)))
     rows = []
-    for row in run(
-        names,
-        chosen,
-        folder,
-        precision=precision,
-        accelerator=accelerator,
-        workers=workers,
-        progress=progress,
-    ):
+    for row in run(names, chosen, folder, **vars(trainer)):
         rows.append(row)
         print(f"{row.model}: EPE {row.figures['EPE']:.3f} px ({len(rows)} of {len(names)} done)")
     Console().print(ablation_table(rows, chosen))

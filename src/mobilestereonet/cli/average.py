@@ -7,17 +7,28 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.early import ends_in, network_name, weights_file
+
 
 def average(
     weights: Annotated[
         list[str],
-        typer.Argument(help="Weights files, checkpoints or names of embedded weights."),
+        typer.Argument(
+            help="Weights files, checkpoints or names of embedded weights.", callback=weights_file
+        ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write, ends in .safetensors.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write, ends in .safetensors.",
+            callback=ends_in([".safetensors"], "weights are"),
+        ),
     ],
     model: Annotated[
-        str | None, typer.Option(help="Their network, where the files do not tell.")
+        str | None,
+        typer.Option(help="Their network, where the files do not tell.", callback=network_name),
     ] = None,
     half: Annotated[bool, typer.Option(help="Write half precision, half the size.")] = False,
 ) -> None:

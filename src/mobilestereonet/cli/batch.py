@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.early import MAP_KINDS, one_of
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.options import OutputFolder
 
 
 def batch(
@@ -21,12 +22,13 @@ def batch(
     ],
     right: Annotated[str | None, typer.Argument(help="The right views, likewise.")] = None,
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    output: OutputFolder,
     write: Annotated[
         list[str] | None,
         typer.Option(
             help="Map to write: disparity.png (the default; 16 bit, x 256), .pfm or .npy; "
-            "depth.png (16-bit mm), .npy or .tiff (m); picture.png. Repeat for more."
+            "depth.png (16-bit mm), .npy or .tiff (m); picture.png. Repeat for more.",
+            callback=one_of(MAP_KINDS),
         ),
     ] = None,
     skip_existing: Annotated[
@@ -42,19 +44,8 @@ def batch(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
-    model: Model = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
-    precision: Precision = "auto",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
-    calib: Calib = None,
-    calib_left: CalibLeft = None,
-    unit: Unit = None,
-    focal: Focal = None,
-    baseline: Baseline = None,
-    doffs: Doffs = 0.0,
+    options: MatcherOptions,
+    cameras: CalibrationOptions,
 ) -> None:
     """Match folders of pairs; --skip-existing goes on where it was stopped.
 
@@ -62,42 +53,36 @@ def batch(
     """
     import sys
     from dataclasses import replace
-    from functools import partial
 
     from mobilestereonet.atomic import make_folder
-    from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.errors import InputError
     from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 
     # A cluster's processes have working folders of their own.
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
-    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
+    calibration = cameras.read()
     pairs = find_pairs(left, right)
     if calibration is not None:
         pairs = [replace(pair, calibration=calibration) for pair in pairs]
     if files.needs_calibration and any(pair.calibration is None for pair in pairs):
         raise InputError("depth needs --calib FILE, or --focal and --baseline")
-    cpus = threads or 1
-    if ray is not None and model != "sgbm":
-        threads = cpus  # a worker shares its machine
-    weights = weights and weights.absolute()
-    make_matcher = partial(
-        open_matcher, model, weights, runtime, precision, threads, device, refine
-    )
+    cpus = options.threads or 1
+    if ray is not None and options.model != "sgbm":
+        options = replace(options, threads=cpus)  # a worker shares its machine
+    options = replace(options, weights=options.weights and options.weights.absolute())
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     make_folder(output)
     summary = ""
     if ray is None:
-        matcher = make_matcher()
+        matcher = options.open_matcher()
         summary = f" ({matcher.summary})"
         statuses = match_pairs(todo, matcher, files)
     else:
         statuses = match_on_ray(
             todo,
             files,
-            make_matcher,
+            options.open_matcher,
             address=ray,
             workers=workers,
             cpus=cpus,

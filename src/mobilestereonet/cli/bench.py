@@ -6,12 +6,13 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Model, Threads, Weights
+from mobilestereonet.cli.engine import Device, NetworkOptions, Threads
+from mobilestereonet.errors import InputError
 
 
 def bench(
-    model: Model = None,
-    weights: Weights = None,
+    *,
+    options: NetworkOptions,
     size: Annotated[
         tuple[int, int], typer.Option(help="Height and width, multiples of the network's.")
     ] = (256, 512),
@@ -23,27 +24,28 @@ def bench(
 
     Says how to ask for the fastest one in each precision. Of sgbm or an ONNX file, its own time.
     """
+    if min(size) < 1:
+        raise InputError("size must be a height and a width above 0, got {} {}".format(*size))
+
     import sys
 
     from rich.console import Console
     from rich.table import Table
 
-    from mobilestereonet.cli.engine import open_network
     from mobilestereonet.data.motorcycle import motorcycle_views
     from mobilestereonet.engines.benchmark import benchmark_engines, benchmark_network, fastest
     from mobilestereonet.engines.choose import installed_engines, open_standalone
     from mobilestereonet.engines.devices import AUTO, torch_device
-    from mobilestereonet.errors import InputError
     from mobilestereonet.export.metadata import check_size
 
-    if min(size) < 1:
-        raise InputError("size must be a height and a width above 0, got {} {}".format(*size))
-    standalone = model and open_standalone(model, threads=threads, device=device)
+    standalone = options.model and open_standalone(
+        options.model, threads=threads, device=device, options=options.config
+    )
     if standalone:
-        name = model
+        name = options.model
         times = benchmark_engines([standalone], *motorcycle_views(size), repeats=repeats)
     else:
-        name, net = open_network(model, weights)
+        name, net = options.open_network()
         check_size(net, size, net.size_multiple)
         device = str(torch_device(device)) if device == AUTO else device
         times = benchmark_network(

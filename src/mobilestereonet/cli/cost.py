@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mobilestereonet.cli.early import network_name
+from mobilestereonet.cli.engine import NetworkValues, network_values
+from mobilestereonet.cli.options import AsJson
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,25 +24,21 @@ def cost(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d."
+            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d.",
+            callback=network_name,
         ),
     ] = None,
     height: Annotated[int, typer.Option(help="Height of a view, in pixels.")] = _SIZE[0],
     width: Annotated[int, typer.Option(help="Width of a view, in pixels.")] = _SIZE[1],
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Change a value of the network, such as net.max_disparity=96. Repeatable."
-        ),
-    ] = None,
+    settings: NetworkValues = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="Print the paper's cost figures beside ours.")
+        bool, typer.Option("--paper", help="Print the paper's cost figures, counted and printed.")
     ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(help="With --paper: draw its figure of the expansion factor, as PNG."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Count MACs and parameters, exactly and as the paper counts."""
     if paper:
@@ -57,7 +56,6 @@ def cost(
 
 
 def _print_model(model: str, settings: list[str], height: int, width: int, as_json: bool) -> None:
-    from mobilestereonet.cli.engine import network_values
     from mobilestereonet.costs import count_costs
     from mobilestereonet.nets import model_config
     from mobilestereonet.settings import override
@@ -113,9 +111,13 @@ def _print_paper(plot: Path | None, as_json: bool) -> None:
         _print_rows(table)
     _print_table(
         "Model size: checkpoint file in MB (1e6 bytes)",
-        ["model", "ours", "paper"],
+        ["model", "measured", "paper"],
         [
-            [size.model, "" if size.ours is None else f"{size.ours:.2f}", f"{size.printed:.2f}"]
+            [
+                size.model,
+                "" if size.measured is None else f"{size.measured:.2f}",
+                f"{size.printed:.2f}",
+            ]
             for size in tables.model_sizes()
         ],
     )
@@ -155,17 +157,17 @@ def _print_blocks() -> None:
 
 
 def _print_rows(table: PaperTable) -> None:
-    """A table with costs (ours and printed) and printed errors, and the notes to its cells."""
+    """A table with costs (counted and printed) and printed errors, and the notes to its cells."""
     errors = list(dict.fromkeys(error for row in table.rows for error in row.errors))
     headers = ["row", *errors]
     if any(row.cells for row in table.rows):
-        headers += ["MACs G\nours", "\npaper", "params M\nours", "\npaper"]
+        headers += ["MACs G\ncounted", "\npaper", "params M\ncounted", "\npaper"]
     lines = []
     for row in table.rows:
         line = [row.name]
         line += [f"{row.errors[error]:.2f}" if error in row.errors else "" for error in errors]
         for cell in row.cells:
-            line += [f"{cell.ours:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
+            line += [f"{cell.counted:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
         lines.append(line)
     _print_table(f"{table.name}: {table.caption}", headers, lines)
     for cell in (cell for row in table.rows for cell in row.cells if cell.note):

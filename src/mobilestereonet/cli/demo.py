@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.options import OutputFolder
 
 _FASTER_MODEL = "msnet2d"
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path(
-        "demo"
-    ),
-    model: Model = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
-    precision: Precision = "auto",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
+    output: OutputFolder = Path("demo"),
+    *,
+    options: MatcherOptions,
 ) -> None:
     """Match the real Motorcycle pair that scikit-image brings along, and score the result.
 
@@ -32,7 +24,6 @@ def demo(
     import torch
 
     from mobilestereonet.atomic import make_folder
-    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.data.calibration import write_calibration
     from mobilestereonet.data.files import write_pfm, write_png
     from mobilestereonet.data.motorcycle import CALIBRATION, motorcycle
@@ -42,8 +33,7 @@ def demo(
 
     sample = motorcycle()
     pair = load_pair(sample.left, sample.right)
-    options = (runtime, precision, threads, device, refine)
-    matcher = open_matcher(model, weights, *options)
+    matcher = options.open_matcher()
     make_folder(output)
 
     def match(matcher: StereoMatcher) -> tuple[StereoResult, RunInfo, StereoScores]:
@@ -66,8 +56,8 @@ def demo(
     print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
     print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
     print(f"Time {info.seconds:.2f} s (first run, warm-up included)")
-    if model is None and weights is None:
-        _, faster, others = match(open_matcher(_FASTER_MODEL, None, *options))
+    if options.is_default:
+        _, faster, others = match(replace(options, model=_FASTER_MODEL).open_matcher())
         figures = "EPE {epe:.3f} px, D1 {d1:.2f} %".format(**others.figures())
         print(f"The faster model, --model {_FASTER_MODEL}: {faster.seconds:.2f} s, {figures}")
         if faster.seconds >= info.seconds:

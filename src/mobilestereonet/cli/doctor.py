@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.options import AsJson, LeftView, RightView
+
 
 def doctor(
-    left: Annotated[Path, typer.Argument(help="Left view.")],
-    right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
+    left: LeftView,
+    right: RightView,
     max_disparity: Annotated[
         int, typer.Option(min=1, help="Disparities that the network searches, in px.")
     ] = 192,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say whether a pair is fit for stereo matching, and what to do. Exit code 1: it is not."""
     import json

@@ -1,127 +1,226 @@
-"""Checks of a command's values that need no heavy import, so that mistakes are told at once."""
+"""Checks of options that need no heavy import, so that mistakes are told at once.
+
+An option's check is its callback: ``typer.Option(callback=one_of(PRECISIONS))``. The names here are
+those of rooms that import PyTorch; tests compare them.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import parse_assignments
 
 ENGINES = ("torch", "onnxruntime", "openvino")
-"""Names of the engines that run a network; a test compares them with `engines.choose`."""
-
-RECIPES = ("procedural", "procedural-plain", "paper-sceneflow", "paper-kitti2015")
-"""Names of the recipes; a test compares them with `training.recipe`."""
-
-FORMATS = ("onnx", "openvino", "executorch", "litert", "pt2", "coreml")
-"""Names of the formats of ``msnet export``; a test compares them with `export`."""
-
-OUTPUT_ENDINGS = {"depth": (".png", ".npy", ".tif", ".tiff"), "points": (".ply", ".glb")}
-"""Endings of files that depth and points are written to; a test compares them with their rooms."""
+"""Engines that run a network."""
 
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
+_PACKAGE = Path(__file__).parents[1]
+
+RECIPES = tuple(sorted(path.stem for path in (_PACKAGE / "training/recipes").glob("*.yaml")))
+
+TRAINING_PRECISIONS = (
+    *("32-true", "bf16-mixed", "16-mixed", "bf16-true", "16-true", "64-true"),
+    *("32", "bf16", "16", "64", "transformer-engine", "transformer-engine-float16"),
+)
+"""Lightning's."""
+
+ACCELERATORS = ("auto", "cpu", "gpu", "cuda", "mps", "tpu")
+"""Lightning's."""
+
+TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")
+"""The paper's ablations."""
+
+ABLATIONS = ("table*", "appendix*")
+"""Patterns of the networks in these tables, which are many."""
+
+FORMATS = ("onnx", "openvino", "executorch", "litert", "pt2", "coreml")
+"""Formats of ``msnet export``."""
+
+EXPORT_PRECISIONS = ("fp32", "fp16", "int8")
+
+BENCHMARKS = ("kitti2015", "kitti2012", "middlebury", "eth3d")
+
+BENCHMARK_SIZES = ("Q", "H", "F")
+
+MAP_KINDS = (
+    *("disparity.png", "disparity.pfm", "disparity.npy", "picture.png"),
+    *("depth.png", "depth.npy", "depth.tiff"),
+)
+"""Maps of ``msnet batch``."""
+
 UNITS = ("m", "mm")
-"""Units of lengths in a calibration; a test compares them with `data.camera_files`."""
+"""Units of lengths in a calibration."""
+
+DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")
+POINTS_ENDINGS = (".ply", ".glb")
+VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
+
+_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
 
-_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
-
-_FILES = ("left", "right", "calib", "calib_left")
-"""Parameters that name files to read."""
-
-_FOLDERS = ("root", "textures")
-"""Parameters that name folders to read."""
+Callback = Callable[[typer.CallbackParam, Any], Any]
 
 
-class EarlyCheck(TyperCommand):
-    """Command that checks its values before it imports what it needs."""
-
-    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
-        """Check, then run."""
-        check_values(ctx.params)
-        return super().invoke(ctx)
-
-
-def check_values(values: Mapping[str, Any]) -> None:
-    """Check what parameters of commands have in common, by their names.
+def each(check: Callable[[str, Any], None]) -> Callback:
+    """The callback of an option that checks each of its values.
 
     Args:
-        values: Values by the parameters' names.
+        check: Takes the option, such as "--device", and a value; raises an error if it is bad.
+    """
+
+    def callback(parameter: typer.CallbackParam, values: Any) -> Any:
+        name = max(parameter.opts, key=len).rstrip("_")
+        for value in values if isinstance(values, list | tuple) else [values]:
+            if value is not None:
+                check(name, value)
+        return values
+
+    return callback
+
+
+def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> Callback:
+    """Check that a value is one of some names."""
+
+    def check(option: str, value: str) -> None:
+        choices = names() if callable(names) else names
+        if value not in choices:
+            near = difflib.get_close_matches(value.lower(), choices, n=1)
+            hint = f"did you mean {near[0]}? There are" if near else "there are"
+            raise InputError(f"{option} {value}: {hint} {', '.join(choices)}")
+
+    return each(check)
+
+
+def ends_in(endings: Sequence[str], what: str) -> Callback:
+    """Check that a file to write has one of some endings; ``what``: "depth is", "videos are"."""
+
+    def check(option: str, path: Path) -> None:
+        if path.suffix.lower() not in endings:
+            raise InputError(f"{path}: {what} written as {', '.join(endings)}")
+
+    return each(check)
+
+
+def matches(pattern: str, how: str) -> Callback:
+    """Check that a value matches a regular expression, which ``how`` puts into words."""
+
+    def check(option: str, value: str) -> None:
+        if not re.fullmatch(pattern, value):
+            raise InputError(f"{option} {value}: write it as {how}")
+
+    return each(check)
+
+
+def _check_file(option: str, path: Path) -> None:
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+
+
+def _check_folder(option: str, path: Path) -> None:
+    if not path.is_dir():
+        raise FileNotFoundError(f"no folder {path}")
+
+
+def _check_weights(option: str, source: Path | str) -> None:
+    if Path(source).suffix in _WEIGHTS_ENDINGS and not Path(source).exists():
+        raise FileNotFoundError(f"{source}: no such file")
+
+
+def check_network(option: str, name: str) -> None:
+    """Check the value of an option that names a network; see `check_registered`."""
+    if not _is_users_class(option, name):
+        check_registered(name)
+
+
+def _is_users_class(option: str, name: str) -> bool:
+    """Whether a name is ``FILE.py:CLASS``; checks that there is such a file."""
+    path, _, attribute = name.rpartition(":")
+    if not path.endswith(".py"):
+        return False
+    if not attribute.isidentifier():
+        raise InputError(f"{option} {name}: write it as my_net.py:MyNet")
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{option} {name}: there is no file {path}")
+    return True
+
+
+def _check_assignment(option: str, text: str) -> None:
+    parse_assignments([text])
+
+
+existing_file = each(_check_file)
+existing_folder = each(_check_folder)
+weights_file = each(_check_weights)
+network_name = each(check_network)
+assignment = each(_check_assignment)
+device_name = matches(_DEVICE, "auto, cpu, cuda or cuda:1")
+
+
+def data_sets() -> list[str]:
+    """Names of the data sets that can be opened."""
+    return sorted(_registered("data/scanners", r'@register_data_set\("([^"]+)"'))
+
+
+def _registered(folder: str, pattern: str) -> set[str]:
+    """What a pattern finds in a folder's source files."""
+    sources = (path.read_text("utf-8") for path in (_PACKAGE / folder).glob("*.py"))
+    return {name for source in sources for name in re.findall(pattern, source)}
+
+
+def check_registered(name: str) -> None:
+    """Check the name of a network, as far as it can be without importing the networks.
+
+    A name that stands nowhere in their files is none; those of the ablations are composed.
 
     Raises:
-        FileNotFoundError: If a file or folder to read does not exist.
-        InputError: If a value is none of its parameter's, or no such model is there.
+        InputError: If it is none.
     """
-    for name in _FILES:
-        given = values.get(name)
-        for path in given if isinstance(given, list | tuple) else [given]:
-            if isinstance(path, Path) and not path.exists():
-                raise FileNotFoundError(f"{path}: no such file")
-    weights = values.get("weights")
-    if isinstance(weights, Path) and weights.suffix in _WEIGHTS_ENDINGS and not weights.exists():
-        raise FileNotFoundError(f"{weights}: no such file")
-    for name in _FOLDERS:
-        folder = values.get(name)
-        if isinstance(folder, Path) and not folder.is_dir():
-            raise FileNotFoundError(f"no folder {folder}")
-    for name in ("settings", "assignments"):
-        parse_assignments(values.get(name) or [])
-    _check_choice("--recipe", values.get("recipe"), RECIPES)
-    _check_choice("format", values.get("format_"), FORMATS)
-    for name, endings in OUTPUT_ENDINGS.items():
-        for path in values.get(name) or ():
-            if isinstance(path, Path) and path.suffix.lower() not in endings:
-                verb = "are" if name == "points" else "is"
-                raise InputError(f"{path}: {name} {verb} written as {', '.join(endings)}")
-    if "runtime" in values:
-        _check_choice("--runtime", values["runtime"], ENGINES)
-        _check_choice("--precision", values.get("precision"), PRECISIONS)
-    if values.get("unit") not in (None, *UNITS):
-        raise InputError(f"--unit {values['unit']}: there are {', '.join(UNITS)}")
-    device = values.get("device")
-    if device is not None and not re.fullmatch(_DEVICE, device):
-        raise InputError(f"--device {device}: write it as auto, cpu, cuda or cuda:1")
-    # Training takes networks without weights.
-    if "weights" in values and "model" in values and "recipe" not in values:
-        models = values["model"]
-        for model in models if isinstance(models, list | tuple) else [models]:
-            _check_model(model, values["weights"])
-
-
-def _check_choice(option: str, value: str | None, choices: Sequence[str]) -> None:
-    if value is None or value in choices:
+    if any(fnmatch(name, pattern) for pattern in ABLATIONS):
         return
-    near = difflib.get_close_matches(value, choices, n=1)
-    hint = f"did you mean {near[0]}? There are" if near else "there are"
-    raise InputError(f"{option} {value}: {hint} {', '.join(choices)}")
+    if name not in _registered("nets", r'"([\w.-]+)"'):
+        known = _registered("nets", r'register_model\(\s*"([^"]+)"')
+        near = difflib.get_close_matches(name, known) or ["msnet2d", "msnet3d"]
+        raise InputError(
+            f"unknown model {name!r}: did you mean {', '.join(near)}? `msnet models` lists all"
+        )
 
 
-def _check_model(model: str | None, weights: object) -> None:
-    """Check the name of a network that must have weights, where it can be told without PyTorch."""
-    if model is None:
+def check_trained(model: str | None, weights: Path | None) -> None:
+    """Check the name of a network that must have weights, as far as it can be without PyTorch.
+
+    Args:
+        model: Value of ``--model``.
+        weights: Value of ``--weights``.
+
+    Raises:
+        FileNotFoundError: If it names a file that is not there.
+        InputError: If it names no network, or one without weights in the package.
+    """
+    if model is None or _is_users_class("--model", model):
         return
-    # onnx:FILE,option=value or FILE.py:CLASS
-    is_onnx = model.startswith("onnx:")
-    path = model[5:].partition(",")[0] if is_onnx else model.rpartition(":")[0]
-    if path:
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"--model {model}: there is no file {path}")
-        return
-    if Path(model).suffix in _WEIGHTS_ENDINGS and not Path(model).is_file():
+    path = model.removeprefix("onnx:").partition(",")[0]  # onnx:FILE,option=value
+    if model.startswith("onnx:") and not Path(path).is_file():
+        raise FileNotFoundError(f"--model {model}: there is no file {path}")
+    if Path(path).suffix in _WEIGHTS_ENDINGS and not Path(path).is_file():
         raise FileNotFoundError(f"--model {model}: no such file")
-    if weights is not None or "/" in model or Path(model).exists():
-        return  # the weights tell, or it is one of the hub
-    versions = [path.stem for path in (Path(__file__).parents[1] / "weights").glob("*.safetensors")]
+    if path != model or "/" in model or Path(model).exists():
+        return  # an ONNX file, or what a file, a folder or the hub holds
+    if weights is not None:
+        if model != "sgbm":  # which is told that it has no weights
+            check_registered(model)
+        return
+    versions = [path.stem for path in (_PACKAGE / "weights").glob("*.safetensors")]
     embedded = sorted({"sgbm", *(version.partition(".")[0] for version in versions)})
     if model not in embedded and model not in versions:
         near = difflib.get_close_matches(model, embedded, n=1)

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
+
+from mobilestereonet.cli.early import (
+    ENGINES,
+    PRECISIONS,
+    check_trained,
+    device_name,
+    each,
+    one_of,
+    weights_file,
+)
+from mobilestereonet.errors import InputError
+from mobilestereonet.settings import parse_assignments
 
 if TYPE_CHECKING:
     from mobilestereonet.inference import StereoMatcher
@@ -16,37 +29,63 @@ _SOURCES = (
 )
 _DEFAULT = "Default: msnet3d, or what the weights hold; msnet2d is the faster one."
 
+
+def network_values(assignments: list[str] | None) -> dict[str, Any]:
+    """Values of a network's config, by name, from assignments such as ``net.estimator=mean``.
+
+    Raises:
+        InputError: If one is no assignment, or none of the network's.
+    """
+    values = parse_assignments(assignments or [])
+    for name, value in values.items():
+        if not name.startswith("net.") or name == "net.":
+            raise InputError(f"--set {name}={value}: write it as net.{name}={value}")
+    return {name.removeprefix("net."): value for name, value in values.items()}
+
+
 Model: TypeAlias = Annotated[
     str | None, typer.Option(help=f"{_SOURCES}; sgbm or onnx:FILE. {_DEFAULT}")
 ]
 Network: TypeAlias = Annotated[str | None, typer.Option(help=f"{_SOURCES}. {_DEFAULT}")]
 """A model that is a network of PyTorch, as an export needs it."""
 Weights: TypeAlias = Annotated[
-    Path | None, typer.Option(help="Weights file of this package, or checkpoint of the authors.")
+    Path | None,
+    typer.Option(
+        help="Weights file of this package, or checkpoint of the authors.", callback=weights_file
+    ),
+]
+NetworkValues: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Set a value of the network's config, such as net.max_disparity=96. Repeat for more.",
+        callback=each(lambda option, text: network_values([text]) and None),
+    ),
 ]
 Runtime: TypeAlias = Annotated[
     str,
     typer.Option(
-        help="Engine: torch, onnxruntime or openvino (`msnet bench` times them on this machine)."
+        help="Engine: torch, onnxruntime or openvino (`msnet bench` times them on this machine).",
+        callback=one_of(ENGINES),
     ),
 ]
 Precision: TypeAlias = Annotated[
     str,
     typer.Option(
-        help="fp32, bf16, fp16 (GPU), or auto: bf16 where the processor or GPU has it, else fp32."
+        help="fp32, bf16, fp16 (GPU), or auto: bf16 where the processor or GPU has it, else fp32.",
+        callback=one_of(PRECISIONS),
     ),
 ]
 Threads: TypeAlias = Annotated[
-    int | None, typer.Option(help="Threads on a CPU. Default: the engine's choice.")
+    int | None, typer.Option(min=1, help="Threads on a CPU. Default: the engine's choice.")
 ]
 Device: TypeAlias = Annotated[
     str,
     typer.Option(
-        help="auto (a GPU if the engine finds one), cpu, cuda, cuda:1, mps; with openvino GPU, NPU."
+        help="auto (a GPU if the engine finds one), cpu, cuda, cuda:1, mps; openvino: GPU, NPU.",
+        callback=device_name,
     ),
 ]
-
-
 Refine: TypeAlias = Annotated[
     bool | None,
     typer.Option(
@@ -58,97 +97,114 @@ Refine: TypeAlias = Annotated[
 ]
 
 
-def open_network(model: str | None, weights: Path | None) -> tuple[str, StereoModel]:
-    """Network with trained weights that these options of a command ask for, and its name.
-
-    Args:
-        model: Model by name, file, folder or "org/name"; by default `DEFAULT_MODEL`, or what
-            ``weights`` holds.
-        weights: Weights file; ``model`` is then the name of its network.
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Options that choose a network, its weights and values of its config.
 
     Raises:
-        FileNotFoundError: If there are no such weights.
-        InputError: If the file is corrupted, or holds another network than ``model``.
+        FileNotFoundError: If a file that they name is not there.
+        InputError: If there is no such network, or a value is none of a network.
     """
-    from mobilestereonet.inference import DEFAULT_MODEL
-    from mobilestereonet.nets import model_name
-    from mobilestereonet.weights import load_model
 
-    if weights is None:
-        model = model or DEFAULT_MODEL
-        return Path(model).name, load_model(model)
-    net = load_model(weights, model=model)
-    return model or model_name(net.config), net
+    model: Model = None
+    weights: Weights = None
+    settings: NetworkValues = None
+
+    def __post_init__(self) -> None:
+        check_trained(self.model, self.weights)
+
+    @property
+    def is_standalone(self) -> bool:
+        """Whether the model is an engine by itself: "sgbm" or "onnx:FILE"."""
+        return self.model is not None and (self.model == "sgbm" or self.model.startswith("onnx:"))
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Values of the network's config in place of the weights' own."""
+        return network_values(self.settings)
+
+    @property
+    def is_default(self) -> bool:
+        """Whether neither a model nor weights are asked for."""
+        return self.model is None and self.weights is None
+
+    @property
+    def source(self) -> str | Path:
+        """What `load_model` takes: by default `DEFAULT_MODEL`."""
+        from mobilestereonet.inference import DEFAULT_MODEL
+
+        return self.weights or self.model or DEFAULT_MODEL
+
+    @property
+    def is_embedded(self) -> bool:
+        """Whether the weights are those that come with the package."""
+        from mobilestereonet.weights import is_embedded
+
+        return self.weights is None and is_embedded(str(self.source))
+
+    def open_network(self) -> tuple[str, StereoModel]:
+        """The network with its weights, and its name.
+
+        Raises:
+            FileNotFoundError: If there are no such weights.
+            InputError: If the file is corrupted, or holds another network than ``model``.
+        """
+        from mobilestereonet.nets import model_name
+        from mobilestereonet.weights import load_model
+
+        model = self.model if self.weights else None
+        net = load_model(self.source, model=model, config=self.config)
+        if self.weights:
+            return model or model_name(net.config), net
+        return Path(self.source).name, net
 
 
-def network_values(settings: list[str] | None) -> dict[str, Any]:
-    """Values of a network's config from assignments such as ``net.estimator=mean``.
+@dataclass(frozen=True)
+class MatcherOptions(NetworkOptions):
+    """Options that choose a network and the engine that runs it."""
 
-    Raises:
-        InputError: If one is no assignment, or none of the network's.
-    """
-    from mobilestereonet.errors import InputError
-    from mobilestereonet.settings import parse_assignments
+    runtime: Runtime = "torch"
+    precision: Precision = "auto"
+    threads: Threads = None
+    device: Device = "auto"
+    refine: Refine = None
 
-    values = parse_assignments(settings or [])
-    for name, value in values.items():
-        if not name.startswith("net.") or name == "net.":
-            raise InputError(f"--set {name}={value}: write it as net.{name}={value}")
-    return {name.removeprefix("net."): value for name, value in values.items()}
-
-
-def open_matcher(
-    model: str | None,
-    weights: Path | None,
-    runtime: str,
-    precision: str,
-    threads: int | None,
-    device: str,
-    refine: bool | None = None,
-    **options: Any,
-) -> StereoMatcher:
-    """Make the matcher that these options of a command ask for.
-
-    Args:
-        model: Model by name, file, folder or "org/name"; by default `DEFAULT_MODEL`, or what
-            ``weights`` holds.
-        weights: Weights file; ``model`` is then the name of its network.
-        runtime: Name of the engine.
-        precision: See `StereoMatcher`.
-        threads: Likewise.
-        device: Likewise.
-        refine: Likewise.
-        **options: Other arguments of `StereoMatcher.from_pretrained`.
-
-    Raises:
-        FileNotFoundError: If there is no such weights file.
-        InputError: If a value is bad, or the model runs in an engine of its own and an engine is
-            chosen.
-    """
-    from mobilestereonet.engines.choose import is_standalone
-    from mobilestereonet.errors import InputError
-    from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
-
-    if model is not None and is_standalone(model):
-        if weights is not None:
-            raise InputError(f"{model} has no weights to read from {weights}: leave them out")
-        given: dict[str, Any] = {"runtime": runtime, "precision": precision}
-        if model == "sgbm":
-            given |= {"threads": threads, "device": device}
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.is_standalone:
+            return
+        if self.weights is not None:
+            raise InputError(
+                f"{self.model} has no weights to read from {self.weights}: leave them out"
+            )
+        given: dict[str, Any] = {"runtime": self.runtime, "precision": self.precision}
+        if self.model == "sgbm":
+            given |= {"threads": self.threads, "device": self.device}
         defaults = ("auto", "torch", "fp32", None)  # of one command or the other
         if chosen := [f"--{name}" for name, value in given.items() if value not in defaults]:
-            library = "OpenCV" if model == "sgbm" else "ONNX Runtime"
-            raise InputError(f"{model} runs in {library} alone: leave {', '.join(chosen)} out")
+            library = "OpenCV" if self.model == "sgbm" else "ONNX Runtime"
+            raise InputError(f"{self.model} runs in {library} alone: leave {', '.join(chosen)} out")
+
+    def open_matcher(self, **options: Any) -> StereoMatcher:
+        """The matcher that these options ask for.
+
+        Args:
+            **options: Other arguments of `StereoMatcher.from_pretrained`.
+
+        Raises:
+            FileNotFoundError: If there is no such weights file.
+            InputError: If a value is bad, or the model has no such option.
+        """
+        from mobilestereonet.inference import StereoMatcher
+
+        if not self.is_standalone:
+            options |= {"engine": self.runtime, "precision": self.precision}
+            options["model"] = self.model if self.weights else None
         return StereoMatcher.from_pretrained(
-            model, threads=threads, device=device, refine=refine, **options
+            self.source,
+            threads=self.threads,
+            device=self.device,
+            refine=self.refine,
+            config=self.config,
+            **options,
         )
-    return StereoMatcher.from_pretrained(
-        weights or model or DEFAULT_MODEL,
-        model=model if weights else None,
-        engine=runtime,
-        precision=precision,
-        threads=threads,
-        device=device,
-        refine=refine,
-        **options,
-    )

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.early import assignment, data_sets, one_of
+from mobilestereonet.cli.engine import MatcherOptions, Precision
+from mobilestereonet.cli.options import DataRoot
+from mobilestereonet.errors import InputError
+from mobilestereonet.settings import parse_assignments
 
 
 def evaluate(
-    data: Annotated[str, typer.Option(help="Data set, such as kitti2015, sceneflow, folder.")],
-    root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
+    data: Annotated[
+        str,
+        typer.Option(
+            help="Data set, such as kitti2015, sceneflow, folder.", callback=one_of(data_sets)
+        ),
+    ],
+    root: DataRoot,
+    *,
+    options: MatcherOptions,
     model: Annotated[
         list[str] | None,
         typer.Option(
@@ -20,18 +32,18 @@ def evaluate(
             "hold."
         ),
     ] = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
     precision: Precision = "fp32",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
     split: Annotated[
         str | None, typer.Option(help="Split of the data set. Default: its first.")
     ] = None,
-    assignments: Annotated[
+    settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="An option of the data set, such as size=H. Repeat for more."),
+        typer.Option(
+            "--set",
+            help="An option of the data set, such as size=H, or a value of the networks' configs "
+            "in place of the weights' own, such as net.estimator=mean. Repeat for more.",
+            callback=assignment,
+        ),
     ] = None,
     authors: Annotated[
         bool,
@@ -55,41 +67,45 @@ def evaluate(
     ] = None,
 ) -> None:
     """Score models on a data set: EPE, D1 and px-n over all its masks."""
-    from dataclasses import replace
+    models: list[str | None] = [*model] if model else [None]
+    if options.weights is not None and len(models) > 1:
+        raise InputError(
+            f"{options.weights} belongs to one model: give --model once, or not at all"
+        )
+    of_network = [text for text in settings or () if text.startswith("net.")]
+    of_data = parse_assignments([text for text in settings or () if text not in of_network])
+    if split is not None:
+        of_data["split"] = split
+    options = replace(options, precision=precision, settings=of_network)
+    # Beside networks sgbm takes no part in the choice of their engine and their configs.
+    choices = [
+        MatcherOptions(model=name)
+        if name == "sgbm" and len(models) > 1
+        else replace(options, model=name)
+        for name in models
+    ]
 
     from rich.console import Console
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder, refuse_folder
-    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.data import open_data_set
-    from mobilestereonet.errors import InputError
     from mobilestereonet.evaluation import (
         EvaluationProtocol,
         authors_protocol,
         save_evaluations,
     )
     from mobilestereonet.evaluation import evaluate as run
-    from mobilestereonet.settings import parse_assignments
 
-    models: list[str | None] = [*model] if model else [None]
-    if weights is not None and len(models) > 1:
-        raise InputError(f"{weights} belongs to one model: give --model once, or not at all")
-    options = parse_assignments(assignments or [])
-    if split is not None:
-        options["split"] = split
-    pairs = open_data_set(data, root, **options)
+    pairs = open_data_set(data, root, **of_data)
     pairs.require_truth()
     protocol = authors_protocol(data) if authors else EvaluationProtocol()
     protocol = replace(protocol, max_disparity=max_disparity)
     # The padding is one of normalised views, which sgbm does not take.
     protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
-    engine = (runtime, precision, threads, device, refine)
-    # Beside networks sgbm takes no part in the choice of their engine.
-    opencv = ("torch", "fp32", None, "auto", None) if len(models) > 1 else engine
     matchers = [
-        open_matcher(name, weights, *(opencv if name == "sgbm" else engine), padding=own.padding)
-        for name, own in zip(models, protocols, strict=True)
+        chosen.open_matcher(padding=own.padding)
+        for chosen, own in zip(choices, protocols, strict=True)
     ]
     for folder in (pictures, json and json.parent):
         if folder is not None:
@@ -105,7 +121,7 @@ def evaluate(
             run(
                 matcher.disparity,
                 (pairs[index] for index in indices),
-                model=matcher.model if weights is None else f"{matcher.model} ({weights.name})",
+                model=matcher.model + (f" ({options.weights.name})" if options.weights else ""),
                 data_name=str(pairs),
                 protocol=own,
                 thresholds=threshold or (1, 2, 3),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Network, Weights
+from mobilestereonet.cli.early import EXPORT_PRECISIONS, FORMATS, existing_folder, one_of
+from mobilestereonet.cli.engine import Network, NetworkOptions
 from mobilestereonet.errors import InputError
 
 _SIZE = (256, 512)
@@ -16,10 +18,14 @@ _SIZE = (256, 512)
 
 def export(
     format_: Annotated[
-        str | None, typer.Argument(metavar="FORMAT", help="What to write; --list shows them.")
+        str | None,
+        typer.Argument(
+            metavar="FORMAT", help="What to write; --list shows them.", callback=one_of(FORMATS)
+        ),
     ] = None,
+    *,
     model: Network = None,
-    weights: Weights = None,
+    options: NetworkOptions,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="File to write. Default: the model's."),
@@ -31,12 +37,16 @@ def export(
         int, typer.Option(help="Width of a file of fixed size; others are checked at it.")
     ] = _SIZE[1],
     precision: Annotated[
-        str | None, typer.Option(help="fp32, fp16 or int8, as the format has it.")
+        str | None,
+        typer.Option(
+            help="fp32, fp16 or int8, as the format has it.", callback=one_of(EXPORT_PRECISIONS)
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="For int8: folder with left/*.png and right/*.png, instead of own scenes."
+            help="For int8: folder with left/*.png and right/*.png, instead of own scenes.",
+            callback=existing_folder,
         ),
     ] = None,
     list_: Annotated[
@@ -49,23 +59,23 @@ def export(
         return
     if format_ is None:
         raise InputError("which format? `msnet export --list` shows them")
+    options = replace(options, model=model)
+    if options.is_standalone:
+        raise InputError(f"{model} is no network: it cannot be exported")
 
-    from mobilestereonet.cli.engine import open_network
     from mobilestereonet.export import export_model, find_format
-    from mobilestereonet.inference import DEFAULT_MODEL
-    from mobilestereonet.weights import is_embedded
 
     found = find_format(format_)
     precision = precision or found.precisions[0]
     found.check(precision)
-    name, net = open_network(model, weights)
+    name, net = options.open_network()
     default = name if precision == found.precisions[0] else f"{name}-{precision}"
     written = export_model(
         format_,
         net,
         output or Path(default + found.ending),
         model=name,
-        embedded=weights is None and is_embedded(model or DEFAULT_MODEL),
+        embedded=options.is_embedded,
         precision=precision,
         size=(height, width),
         calibration=calibration,

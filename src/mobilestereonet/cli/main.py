@@ -17,9 +17,9 @@ from mobilestereonet.cli.cost import cost
 from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
 from mobilestereonet.cli.doctor import doctor
-from mobilestereonet.cli.early import EarlyCheck
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.export import export
+from mobilestereonet.cli.groups import with_options_of_groups
 from mobilestereonet.cli.models import models
 from mobilestereonet.cli.plot_run import plot_run
 from mobilestereonet.cli.predict import predict
@@ -77,7 +77,7 @@ for command in (
     bench,
     web,
 ):
-    app.command(cls=EarlyCheck)(command)
+    app.command()(with_options_of_groups(command))
 app.add_typer(data)
 
 

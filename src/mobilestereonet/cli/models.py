@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mobilestereonet.cli.early import ABLATIONS, check_network
+from mobilestereonet.errors import InputError
+
 if TYPE_CHECKING:
     from mobilestereonet.nets import ModelInfo
-
-_ABLATIONS = ("table*", "appendix*")
-"""Names of the rows of the paper's tables: many, each of interest beside its table alone."""
 
 
 def models(
@@ -23,17 +23,20 @@ def models(
 
     A pattern such as ``'table3b-*'`` lists what matches it.
     """
-    from mobilestereonet.errors import InputError
+    is_name = name is not None and not any(sign in name for sign in "*?[")
+    if name is not None and is_name:
+        check_network("models", name if ".py:" in name else name.partition(".")[0])
+
     from mobilestereonet.nets import list_models, model_info
 
-    if name is not None and not any(sign in name for sign in "*?["):
+    if name is not None and is_name:
         model = name.partition(".")[0] if name.partition(".")[0] in list_models() else name
         _describe(name, model_info(model))
         return
     names = list_models(name or "*")
     if not names:
         raise InputError(f"no network's name matches {name}: `msnet models` lists all")
-    rows = {row for pattern in _ABLATIONS for row in list_models(pattern)} if name is None else ()
+    rows = {row for pattern in ABLATIONS for row in list_models(pattern)} if name is None else ()
     _list([found for found in names if found not in rows])
     if rows:
         print("rows of the paper's tables (parameters: msnet models 'table*'):")

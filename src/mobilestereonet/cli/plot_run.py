@@ -7,9 +7,13 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.early import existing_folder
+
 
 def plot_run(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run of `msnet train`.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of a run of `msnet train`.", callback=existing_folder)
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="PNG file. [default: FOLDER/curves.png]")
     ] = None,

@@ -7,21 +7,19 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, RightView
+from mobilestereonet.errors import InputError
 
 
 def predict(
-    left: Annotated[Path, typer.Argument(help="Left view of a rectified pair.")],
-    right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
-    model: Model = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
-    precision: Precision = "auto",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
+    left: LeftView,
+    right: RightView,
+    output: OutputFolder,
+    *,
+    options: MatcherOptions,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
     ] = False,
@@ -29,18 +27,20 @@ def predict(
         bool,
         typer.Option("--left-right", help="The right view's disparity, and what is occluded."),
     ] = False,
-    calib: Calib = None,
-    calib_left: CalibLeft = None,
-    unit: Unit = None,
-    focal: Focal = None,
-    baseline: Baseline = None,
-    doffs: Doffs = 0.0,
+    cameras: CalibrationOptions,
     depth: Annotated[
         list[Path] | None,
-        typer.Option(help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more."),
+        typer.Option(
+            help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more.",
+            callback=ends_in(DEPTH_ENDINGS, "depth is"),
+        ),
     ] = None,
     points: Annotated[
-        list[Path] | None, typer.Option(help="Point cloud: .ply or .glb. Repeat for more.")
+        list[Path] | None,
+        typer.Option(
+            help="Point cloud: .ply or .glb. Repeat for more.",
+            callback=ends_in(POINTS_ENDINGS, "points are"),
+        ),
     ] = None,
     max_depth: Annotated[
         float, typer.Option(min=0, help="Leave farther points out, in metres.")
@@ -55,56 +55,36 @@ def predict(
         tuple[int, int] | None,
         typer.Option(help="Height and width of tiles. Default: 1088 1920, above Full HD."),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A value of the network's config in place of the weights' own, such as "
-            "net.estimator=mean. Repeat for more.",
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the facts as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
     import json
     import sys
     from dataclasses import asdict
 
-    from mobilestereonet.atomic import make_folder
-    from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import network_values, open_matcher
-    from mobilestereonet.data.depth_files import check_depth_file, write_depth
-    from mobilestereonet.errors import InputError
-    from mobilestereonet.inference import load_pair
-    from mobilestereonet.inference.geometry import check_points_file
-
-    depth_files = [check_depth_file(path) for path in depth or ()]
-    point_files = [check_points_file(path) for path in points or ()]
-    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
-    if calibration is None and (depth_files or point_files):
+    depth_files, point_files = depth or [], points or []
+    if not cameras.given and (depth_files or point_files):
         raise InputError("depth and points need --calib FILE, or --focal and --baseline")
-    if calibration is not None and not (depth_files or point_files):
+    if cameras.given and not (depth_files or point_files):
         raise InputError("a calibration is for --depth FILE or --points FILE: add one of them")
     if not point_files and (min_confidence > 0 or max_depth < float("inf") or keep_edges):
         raise InputError(
             "--min-confidence, --max-depth and --keep-edges are for --points FILE: add it, or "
             "leave them out"
         )
+
+    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.data.depth_files import write_depth
+    from mobilestereonet.inference import load_pair
+
+    calibration = cameras.read()
     pair = load_pair(left, right)
     if calibration is not None:
         calibration.require_size(pair.width, pair.height)
-    matcher = open_matcher(
-        model,
-        weights,
-        runtime,
-        precision,
-        threads,
-        device,
-        refine,
+    matcher = options.open_matcher(
         tile=tile or "auto",
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
-        config=network_values(settings),
     )
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)

@@ -7,21 +7,29 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.early import UNITS, existing_file, one_of
+from mobilestereonet.cli.options import OutputFolder, RightView
+
 
 def rectify(
-    left: Annotated[Path, typer.Argument(help="Left view as the camera gave it.")],
-    right: Annotated[Path, typer.Argument(help="Right view, of the same size.")],
+    left: Annotated[
+        Path, typer.Argument(help="Left view as the camera gave it.", callback=existing_file)
+    ],
+    right: RightView,
     calib: Annotated[
         list[Path],
         typer.Option(
             help="OpenCV stereo calibration (YAML, XML, JSON): M1 D1 M2 D2 R T. Repeat if it is in "
-            "two files."
+            "two files.",
+            callback=existing_file,
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    output: OutputFolder,
     unit: Annotated[
         str | None,
-        typer.Option(help="Unit of T, m or mm: that of the board's squares."),
+        typer.Option(
+            help="Unit of T, m or mm: that of the board's squares.", callback=one_of(UNITS)
+        ),
     ] = None,
     whole: Annotated[
         bool, typer.Option("--whole", help="Keep all pixels, with black beyond the borders.")

@@ -2,49 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.early import BENCHMARK_SIZES, BENCHMARKS, one_of
+from mobilestereonet.cli.engine import MatcherOptions, Precision
+from mobilestereonet.cli.options import DataRoot
 
 
 def submit(
     benchmark: Annotated[
         str,
         typer.Argument(
-            help="Benchmark, such as kitti2015, kitti2012, middlebury, eth3d.", metavar="BENCHMARK"
+            help="Benchmark: kitti2015, kitti2012, middlebury or eth3d.",
+            metavar="BENCHMARK",
+            callback=one_of(BENCHMARKS),
         ),
     ],
-    root: Annotated[Path, typer.Option(help="Folder in which its archives were unpacked.")],
+    root: DataRoot,
     output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],
-    model: Model = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
+    *,
+    options: MatcherOptions,
     precision: Precision = "fp32",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
     method: Annotated[
         str | None,
         typer.Option(help="Name of the method in Middlebury's files. Default: the model's."),
     ] = None,
-    size: Annotated[str, typer.Option(help="Middlebury's size: Q, H or F.")] = "Q",
+    size: Annotated[
+        str, typer.Option(help="Middlebury's size: Q, H or F.", callback=one_of(BENCHMARK_SIZES))
+    ] = "Q",
     training_only: Annotated[
         bool,
         typer.Option("--training-only", help="Middlebury's training scenes alone, for a trial."),
     ] = False,
 ) -> None:
     """Match a benchmark's pairs and write the archive that its server takes, checked."""
+    options = replace(options, precision=precision)
+
     from rich.console import Console
     from rich.progress import track
 
     from mobilestereonet.atomic import make_folder, refuse_folder
-    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
 
-    matcher = open_matcher(model, weights, runtime, precision, threads, device, refine)
+    matcher = options.open_matcher()
     refuse_folder(output, "ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.calibration import Baseline, Calib, CalibLeft, Doffs, Focal, Unit
-from mobilestereonet.cli.engine import Device, Model, Precision, Refine, Runtime, Threads, Weights
+from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.errors import InputError
 
 
 def video(
@@ -23,7 +25,12 @@ def video(
     right: Annotated[str | None, typer.Argument(help="The right view's, likewise.")] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Video of colours to write: .mp4, .mkv or .mov."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Video of colours to write: .mp4, .mkv or .mov.",
+            callback=ends_in(VIDEO_ENDINGS, "videos are"),
+        ),
     ] = None,
     frames: Annotated[
         Path | None,
@@ -45,41 +52,26 @@ def video(
     fps: Annotated[
         float, typer.Option(min=0.01, help="Frames per second of an image sequence.")
     ] = 10.0,
-    model: Model = None,
-    weights: Weights = None,
-    runtime: Runtime = "torch",
-    precision: Precision = "auto",
-    threads: Threads = None,
-    device: Device = "auto",
-    refine: Refine = None,
-    calib: Calib = None,
-    calib_left: CalibLeft = None,
-    unit: Unit = None,
-    focal: Focal = None,
-    baseline: Baseline = None,
-    doffs: Doffs = 0.0,
+    *,
+    options: MatcherOptions,
+    cameras: CalibrationOptions,
 ) -> None:
     """Match a video, a camera or an image sequence. Ctrl-C ends it and keeps what there is."""
-    import time
-
-    from mobilestereonet.errors import InputError
-
-    # Told before the imports, which take long.
     if output is None and frames is None:
         raise InputError("nothing to write: give --output VIDEO, --frames FOLDER or both")
     if output is None and beside:
         raise InputError("--beside needs --output VIDEO, whose pictures it widens")
+    if frames is None and (resume or cameras.given):
+        raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
 
-    from mobilestereonet.cli.calibration import calibration_from
-    from mobilestereonet.cli.engine import open_matcher
+    import time
+
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.interruption import sigint_sets_event
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
     from mobilestereonet.streams.video_files import check_video_file
 
-    calibration = calibration_from(calib, calib_left, unit, focal, baseline, doffs)
-    if frames is None and (resume or calibration is not None):
-        raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
+    calibration = cameras.read()
     if output is not None:
         check_video_file(output)
         for source in (left, right or left):
@@ -88,7 +80,7 @@ def video(
                     f"{output}: the video would replace its source; choose another name"
                 )
     stream = open_stream(left, right, fps)
-    matcher = open_matcher(model, weights, runtime, precision, threads, device, refine)
+    matcher = options.open_matcher()
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()
     stop = Event()

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.engine import Device, Precision, Threads
+from mobilestereonet.cli.engine import Device, MatcherOptions, NetworkValues, Precision, Threads
+from mobilestereonet.errors import InputError
 
 
 def web(
@@ -19,6 +20,7 @@ def web(
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
+    settings: NetworkValues = None,
     max_megapixels: Annotated[float, typer.Option(help="Largest picture that is taken.")] = 2.1,
     max_megabytes: Annotated[int, typer.Option(help="Largest upload that is taken.")] = 20,
     queue: Annotated[int, typer.Option(help="Visitors who may wait.")] = 8,
@@ -26,29 +28,31 @@ def web(
     """Serve a page to try pairs on, to this machine only unless told otherwise."""
     import signal
     import sys
+    from dataclasses import replace
     from importlib.util import find_spec
     from threading import Event
 
-    from mobilestereonet.errors import InputError
-
+    options = MatcherOptions(precision=precision, threads=threads, device=device, settings=settings)
     if find_spec("gradio") is None:
         raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
 
-    from mobilestereonet.cli.engine import open_matcher
     from mobilestereonet.engines.choose import ENGINES
     from mobilestereonet.engines.sgbm import StereoSGBM
     from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
     from mobilestereonet.web.examples import examples
-    from mobilestereonet.web.page import PageConfig
+    from mobilestereonet.web.handlers import PageConfig
     from mobilestereonet.web.server import running
     from mobilestereonet.web.uploads import UploadLimits
-    from mobilestereonet.weights import embedded_models
+    from mobilestereonet.weights import embedded_models, load_model
 
     def matcher(model: str, engine: str) -> StereoMatcher:
         if model == StereoSGBM.name:
             return StereoMatcher.from_pretrained(model)
-        return open_matcher(model, None, engine, precision, threads, device, confidence=True)
+        return replace(options, model=model, runtime=engine).open_matcher(confidence=True)
 
+    if settings:  # a mistake is told now, not to the first visitor
+        for name in embedded_models():
+            load_model(name, config=options.config)
     others = [name for name in embedded_models() if name != DEFAULT_MODEL]
     config = PageConfig(
         models=[DEFAULT_MODEL, *others, StereoSGBM.name],

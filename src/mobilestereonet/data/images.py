@@ -88,3 +88,27 @@ def cover_and_crop(view: Tensor, size: tuple[int, int]) -> Tensor:
     top, left = ((have - want) // 2 for have, want in zip(scaled, size, strict=True))
     view = F.interpolate(view[None], scaled, mode="bilinear", antialias=True)
     return view[..., top : top + size[0], left : left + size[1]].clamp(0, 1).contiguous()
+
+
+def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
+    """Pad above and on the right, where the authors' evaluation pads, too.
+
+    Columns without a partner at the left border stay at the border, as in training.
+
+    Args:
+        view: (B, C, H, W).
+        height: Height to reach.
+        width: Width to reach.
+        zeros: True pads with zeros, as the authors do: the mean colour once a view is normalised.
+            False repeats the border's pixels, which disturbs what is beside them less.
+
+    Returns:
+        (B, C, height, width).
+    """
+    around = (0, width - view.shape[-1], height - view.shape[-2], 0)
+    return F.pad(view, around, mode="constant" if zeros else "replicate")
+
+
+def unpad(map_: Tensor, height: int, width: int) -> Tensor:
+    """Undo `pad`: (..., padded height, padded width) -> (..., height, width)."""
+    return map_[..., map_.shape[-2] - height :, :width]

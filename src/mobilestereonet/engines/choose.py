@@ -69,13 +69,6 @@ def open_engine(
     return engine(net, precision=precision, threads=threads, device=device, cache=cache)
 
 
-def is_standalone(model: str | None) -> bool:
-    """Whether a model is an engine by itself: "sgbm" or "onnx:FILE"."""
-    return model is not None and (
-        model == StereoSGBM.name or model.startswith(OnnxFileEngine.prefix)
-    )
-
-
 def open_standalone(
     model: str,
     *,

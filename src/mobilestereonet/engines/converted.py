@@ -23,7 +23,7 @@ from torch import Tensor
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.engines.network import NetworkEngine, regress
-from mobilestereonet.engines.tracing import Size, exportable
+from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 
@@ -164,7 +164,7 @@ class ConvertedEngine(NetworkEngine):
         return True
 
     def _exportable(self) -> ExportableNet:
-        return exportable(self._net, scores=self.has_confidence)
+        return accelerate(self._net, "export", scores=self.has_confidence)
 
     def _graph(self, size: Size | None) -> Run:
         """The graph for a size, or for any size: from memory, from the cache, or converted."""

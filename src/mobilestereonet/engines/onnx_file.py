@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.engines.onnx_options import (
     OnnxOptions,
     options_in_metadata,
@@ -21,7 +22,6 @@ from mobilestereonet.engines.onnx_options import (
 from mobilestereonet.engines.onnxruntime import find_provider, open_session
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, Preprocessing
-from mobilestereonet.nets.operations import pad, unpad
 
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
 

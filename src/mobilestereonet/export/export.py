@@ -12,9 +12,10 @@ from uuid import uuid4
 
 from torch import Tensor
 
+from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.motorcycle import motorcycle_views
 from mobilestereonet.engines.benchmark import EagerNetwork
-from mobilestereonet.engines.tracing import Size, exportable
+from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.base import Format, Job, Pair, Run
 from mobilestereonet.export.coreml import CoreML
@@ -110,7 +111,7 @@ def export_model(
     _check_output(output, kind)
     if calibration is not None and precision != "int8":
         raise InputError(f"calibration pairs are for precision int8, not {precision}")
-    network = exportable(net, rgb=True, conv3d_as_2d=kind.conv3d_as_2d)
+    network = accelerate(net, "export", rgb=True, conv3d_as_2d=kind.conv3d_as_2d).float()
     min_width = network.min_width if network.any_size else net.size_multiple
     check_size(net, size, min_width)
     pairs: tuple[Pair, ...] = ()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from inspect import signature
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +11,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mobilestereonet.accelerate.modules import device_of
 from mobilestereonet.engines.base import Engine
-from mobilestereonet.engines.choose import open_engine, open_standalone
+from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.checks import quick_checks
-from mobilestereonet.inference.consistency import occluded_pixels
-from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
-from mobilestereonet.inference.predict import Tile, predict_disparity
+from mobilestereonet.inference.pair import (
+    ImageLike,
+    StereoPair,
+    check_tensors,
+    load_batch,
+    load_pair,
+)
+from mobilestereonet.inference.predict import Tile, match_pairs, predict_disparity
+from mobilestereonet.inference.pretrained import misspelt_options, open_model
 from mobilestereonet.inference.result import RunInfo, StereoResult
 from mobilestereonet.nets import StereoModel, VolumeModel, model_name
 from mobilestereonet.nets.model import Prediction
-from mobilestereonet.weights import load_model
 
 DEFAULT_MODEL = "msnet3d"
 
@@ -103,7 +106,7 @@ class StereoMatcher:
         if isinstance(model, StereoModel):
             name = name or model_name(model.config)
             self._options["name"] = engine
-            self.to(_device_of(model) if device is None else device)
+            self.to(device_of(model) if device is None else device)
         elif (engine, precision, device, threads) != ("torch", "fp32", None, None):
             raise InputError(
                 f"{model.name} is an engine already: choose its precision, device and threads "
@@ -153,7 +156,7 @@ class StereoMatcher:
                 matching), "onnx:FILE" (see `OnnxFileEngine`).
             model: Name of the network that ``source`` holds, where a file does not tell.
             revision: Branch, tag or commit of a repository.
-            engine: See `StereoMatcher`, and so are the others.
+            engine: See `StereoMatcher`, and so for those that follow.
             precision: Likewise.
             device: Likewise.
             threads: Likewise.
@@ -172,35 +175,25 @@ class StereoMatcher:
                 or holds another model than ``model``; or if the engine is not installed, or lacks
                 the precision or the device.
         """
-        wanted: dict[str, Any] = {
-            "padding": padding,
-            "tile": tile,
-            "confidence": confidence,
-            "left_right": left_right,
-            "refine": refine,
-        }
-        values = {**(config or {}), **overrides}
-        if isinstance(source, str):
-            with _misspelt_options(cls.from_pretrained, overrides):
-                alone = open_standalone(source, threads=threads, device=device, options=values)
-            if alone is not None:
-                given = {"model": model, "revision": revision}
-                given |= {"engine": engine, "precision": precision}
-                defaults = (None, "torch", "fp32", "auto")
-                if chosen := [key for key, value in given.items() if value not in defaults]:
-                    raise InputError(f"{source} runs by itself: leave {', '.join(chosen)} out")
-                name = Path(source.partition(",")[0]).name  # without an ONNX file's options
-                return cls(alone, name=name, **wanted)
-        with _misspelt_options(cls.from_pretrained, overrides):
-            net = load_model(source, model=model, revision=revision, config=values)
+        with misspelt_options(cls.from_pretrained, overrides):
+            opened, options = open_model(
+                source,
+                model=model,
+                revision=revision,
+                engine=engine,
+                precision=precision,
+                device=device,
+                threads=threads,
+                config={**(config or {}), **overrides},
+            )
         return cls(
-            net,
-            name=model,
-            engine=engine,
-            precision=precision,
-            device=device,
-            threads=threads,
-            **wanted,
+            opened,
+            padding=padding,
+            tile=tile,
+            confidence=confidence,
+            left_right=left_right,
+            refine=refine,
+            **options,
         )
 
     def to(self, device: str | torch.device) -> StereoMatcher:
@@ -280,22 +273,7 @@ class StereoMatcher:
             FileNotFoundError: If a file does not exist.
             InputError: If a view is not as it should be, or the sizes differ.
         """
-        loaded = []
-        for pair in pairs:
-            if not isinstance(pair, StereoPair):
-                if not (isinstance(pair, tuple | list) and len(pair) == 2):
-                    raise InputError(
-                        f"a batch is a list of pairs (left, right), got {type(pair).__name__} in "
-                        "it; two tensors (B, 3, H, W) go in as zip(left, right)"
-                    )
-                pair = load_pair(*pair)
-            loaded.append(pair)
-        sizes = {f"{pair.width}x{pair.height}" for pair in loaded}
-        if len(sizes) > 1:
-            raise InputError(
-                f"a batch needs pairs of one size, got {', '.join(sorted(sizes))}: match them "
-                "one by one"
-            )
+        loaded = load_batch(pairs)
         return self._match(loaded) if loaded else []
 
     def infer(self, left: Tensor, right: Tensor) -> Prediction:
@@ -320,16 +298,7 @@ class StereoMatcher:
         return self._infer(left, right, False).disparity
 
     def _infer(self, left: Tensor, right: Tensor, confidence: bool) -> Prediction:
-        if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
-            raise InputError(
-                "left and right must both be (B, 3, H, W), "
-                f"got {tuple(left.shape)} and {tuple(right.shape)}"
-            )
-        if not (left.is_floating_point() and right.is_floating_point()):
-            raise InputError(
-                f"tensors must be floating point in 0..1, got {left.dtype} and {right.dtype}: "
-                "divide by the largest value"
-            )
+        check_tensors(left, right)
         views = (view.to(self.device, torch.float32) for view in (left, right))
         with torch.inference_mode():
             maps = self._predict(next(views), next(views), confidence)
@@ -340,23 +309,13 @@ class StereoMatcher:
     def _match(self, pairs: list[StereoPair]) -> list[StereoResult]:
         """Match pairs of one size: to the device, through the engine, and back as arrays."""
         started = time.perf_counter()
-        with torch.inference_mode():
-            left = torch.stack([pair.left.to(self.device) for pair in pairs])
-            right = torch.stack([pair.right.to(self.device) for pair in pairs])
-            disparity, confidence = self._predict(left, right, self.confidence)
-            right_disparity = occluded = None
-            if self.left_right:
-                # Mirrored, and in each other's place.
-                right_disparity = self._predict(right.flip(-1), left.flip(-1), False)[0].flip(-1)
-                occluded = occluded_pixels(disparity, right_disparity)
-        names = ("disparity", "confidence", "right_disparity", "occluded")
-        maps = {
-            name: map_.cpu().contiguous().numpy()
-            for name, map_ in zip(
-                names, (disparity, confidence, right_disparity, occluded), strict=True
-            )
-            if map_ is not None
-        }
+        maps = match_pairs(
+            self._predict,
+            pairs,
+            self.device,
+            confidence=self.confidence,
+            left_right=self.left_right,
+        )
         info = RunInfo(
             model=self.model,
             engine=self.engine.name,
@@ -388,30 +347,3 @@ class StereoMatcher:
             refine=self.refine,
             confidence=confidence,
         )
-
-
-@contextmanager
-def _misspelt_options(function: Callable[..., Any], overrides: Mapping[str, Any]) -> Iterator[None]:
-    """Context in which further arguments are used, which may be meant for the function itself.
-
-    Args:
-        function: The function that took them.
-        overrides: They by name.
-
-    Raises:
-        InputError: If the context fails and one is nearly the name of a parameter.
-    """
-    try:
-        yield
-    except (InputError, TypeError) as error:
-        own = list(signature(function).parameters)
-        for name in overrides:
-            if near := difflib.get_close_matches(name, own, n=1, cutoff=0.75):
-                raise InputError(
-                    f"from_pretrained has no option {name!r}: did you mean {near[0]}? ({error})"
-                ) from error
-        raise
-
-
-def _device_of(net: StereoModel) -> torch.device:
-    return next((tensor.device for tensor in net.parameters()), torch.device("cpu"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -82,6 +83,50 @@ def load_pair(left: ImageLike, right: ImageLike) -> StereoPair:
             f"{names[1]} has {sizes[1]}"
         )
     return StereoPair(left, right, left_image, right_image)
+
+
+def load_batch(pairs: Iterable[tuple[ImageLike, ImageLike] | StereoPair]) -> list[StereoPair]:
+    """Read and check pairs of one size; see `load_pair`.
+
+    Raises:
+        FileNotFoundError: If a file does not exist.
+        InputError: If one is no pair, a view is not as it should be, or the sizes differ.
+    """
+    loaded = []
+    for pair in pairs:
+        if not isinstance(pair, StereoPair):
+            if not (isinstance(pair, tuple | list) and len(pair) == 2):
+                raise InputError(
+                    f"a batch is a list of pairs (left, right), got {type(pair).__name__} in it; "
+                    "two tensors (B, 3, H, W) go in as zip(left, right)"
+                )
+            pair = load_pair(*pair)
+        loaded.append(pair)
+    sizes = {f"{pair.width}x{pair.height}" for pair in loaded}
+    if len(sizes) > 1:
+        raise InputError(
+            f"a batch needs pairs of one size, got {', '.join(sorted(sizes))}: match them one by "
+            "one"
+        )
+    return loaded
+
+
+def check_tensors(left: Tensor, right: Tensor) -> None:
+    """Check the shapes and types of two batches of views.
+
+    Raises:
+        InputError: If they are not of one shape (B, 3, H, W), or not floating point.
+    """
+    if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
+        raise InputError(
+            "left and right must both be (B, 3, H, W), "
+            f"got {tuple(left.shape)} and {tuple(right.shape)}"
+        )
+    if not (left.is_floating_point() and right.is_floating_point()):
+        raise InputError(
+            f"tensors must be floating point in 0..1, got {left.dtype} and {right.dtype}: "
+            "divide by the largest value"
+        )
 
 
 def _load(view: ImageLike, name: str) -> tuple[Tensor, Picture]:

@@ -1,23 +1,27 @@
-"""Prediction for a batch of views of any size: preprocess, pad or tile, match, refine.
+"""Prediction for a batch of views of any size: preprocess, pad or tile, match, refine, check.
 
-Everything happens on the device of the views, which is the engine's.
+Everything happens on the engine's device.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypeAlias
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.threads import use_threads
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.consistency import occluded_pixels
+from mobilestereonet.inference.pair import StereoPair
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS, TILE_SIZE, match_in_tiles
 from mobilestereonet.nets.model import Prediction
-from mobilestereonet.nets.operations import pad, unpad
 
 Size: TypeAlias = tuple[int, int]
 """Height and width in px."""
@@ -80,6 +84,41 @@ def predict_disparity(
         with use_threads(engine.threads):
             disparity = refine_disparity(disparity, more[0], left)
     return Prediction(disparity, more[0] if confidence and more else None)
+
+
+def match_pairs(
+    predict: Callable[[Tensor, Tensor, bool], Prediction],
+    pairs: Sequence[StereoPair],
+    device: torch.device,
+    *,
+    confidence: bool,
+    left_right: bool,
+) -> dict[str, NDArray[Any]]:
+    """Match pairs of one size: to the device, through the engine, and back as arrays once.
+
+    Args:
+        predict: Matches batches of views, with or without a confidence.
+        pairs: The pairs.
+        device: Device of the engine.
+        confidence: Predict the confidence.
+        left_right: Match the mirrored pairs as well, and check the one against the other.
+
+    Returns:
+        Maps (B, H, W) by the names that `StereoResult` has for them.
+    """
+    with torch.inference_mode():
+        left = torch.stack([pair.left.to(device) for pair in pairs])
+        right = torch.stack([pair.right.to(device) for pair in pairs])
+        disparity, sure = predict(left, right, confidence)
+        maps = {"disparity": disparity}
+        if sure is not None:
+            maps["confidence"] = sure
+        if left_right:
+            # Mirrored, and in each other's place.
+            mirrored = predict(right.flip(-1), left.flip(-1), False).disparity.flip(-1)
+            maps["right_disparity"] = mirrored
+            maps["occluded"] = occluded_pixels(disparity, mirrored)
+    return {name: map_.cpu().contiguous().numpy() for name, map_ in maps.items()}
 
 
 def _match_padded(

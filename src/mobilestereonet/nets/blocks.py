@@ -6,22 +6,16 @@ v1: MobileNets (Howard et al., 2017); v2: MobileNetV2 (Sandler et al., CVPR 2018
 from __future__ import annotations
 
 import math
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from torch import Tensor, nn
 
 Block = Literal["conv", "v1", "v2"]
 """Standard convolution, MobileNet-V1 block, MobileNet-V2 block."""
 
-CONV: dict[int, type[nn.Conv2d] | type[nn.Conv3d]] = {2: nn.Conv2d, 3: nn.Conv3d}
-_TRANSPOSED: dict[int, type[nn.ConvTranspose2d] | type[nn.ConvTranspose3d]] = {
-    2: nn.ConvTranspose2d,
-    3: nn.ConvTranspose3d,
-}
-_NORM: dict[int, type[nn.BatchNorm2d] | type[nn.BatchNorm3d]] = {
-    2: nn.BatchNorm2d,
-    3: nn.BatchNorm3d,
-}
+CONV: dict[int, Any] = {2: nn.Conv2d, 3: nn.Conv3d}
+_TRANSPOSED: dict[int, Any] = {2: nn.ConvTranspose2d, 3: nn.ConvTranspose3d}
+_NORM: dict[int, Any] = {2: nn.BatchNorm2d, 3: nn.BatchNorm3d}
 
 
 def conv_norm(
@@ -65,6 +59,12 @@ def transposed_norm(dims: int, inputs: int, outputs: int) -> nn.Sequential:
     )
 
 
+def depthwise_norm(dims: int, channels: int, *, stride: int, dilation: int) -> nn.Sequential:
+    """Depthwise 3x3(x3) convolution with batch norm and ReLU6, see `conv_norm`."""
+    size = {"stride": stride, "dilation": dilation, "groups": channels}
+    return conv_norm(dims, channels, channels, activation=nn.ReLU6, **size)
+
+
 def v1_block(
     dims: int,
     inputs: int,
@@ -75,13 +75,11 @@ def v1_block(
     last_activation: bool = True,
 ) -> nn.Sequential:
     """MobileNet-V1 block: depthwise 3x3(x3), then pointwise, each with batch norm and ReLU6."""
-    depthwise = conv_norm(
-        dims, inputs, inputs, stride=stride, dilation=dilation, groups=inputs, activation=nn.ReLU6
+    last = nn.ReLU6 if last_activation else None
+    return nn.Sequential(
+        *depthwise_norm(dims, inputs, stride=stride, dilation=dilation),
+        *conv_norm(dims, inputs, outputs, kernel=1, activation=last),
     )
-    pointwise = conv_norm(
-        dims, inputs, outputs, kernel=1, activation=nn.ReLU6 if last_activation else None
-    )
-    return nn.Sequential(*depthwise, *pointwise)
 
 
 class V2Block(nn.Module):
@@ -106,15 +104,7 @@ class V2Block(nn.Module):
         self.skip = skip and stride == 1 and inputs == outputs
         self.conv = nn.Sequential(
             *conv_norm(dims, inputs, hidden, kernel=1, activation=nn.ReLU6),
-            *conv_norm(
-                dims,
-                hidden,
-                hidden,
-                stride=stride,
-                dilation=dilation,
-                groups=hidden,
-                activation=nn.ReLU6,
-            ),
+            *depthwise_norm(dims, hidden, stride=stride, dilation=dilation),
             *conv_norm(dims, hidden, outputs, kernel=1, activation=None),
         )
 
@@ -122,24 +112,6 @@ class V2Block(nn.Module):
         """(B, inputs, ...) -> (B, outputs, ...), spatial sizes divided by the stride."""
         y = cast(Tensor, self.conv(x))
         return x + y if self.skip else y
-
-
-def hourglass_block(
-    kind: Block,
-    dims: int,
-    inputs: int,
-    outputs: int,
-    *,
-    stride: int = 1,
-    expansion: int,
-    skip: bool,
-) -> nn.Module:
-    """One of an hourglass's four convolutions: "conv" with batch norm and ReLU, "v1" or "v2"."""
-    if kind == "v1":
-        return v1_block(dims, inputs, outputs, stride=stride)
-    if kind == "v2":
-        return V2Block(dims, inputs, outputs, expansion=expansion, stride=stride, skip=skip)
-    return conv_norm(dims, inputs, outputs, stride=stride)
 
 
 def initialise(network: nn.Module) -> None:

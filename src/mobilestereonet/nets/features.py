@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from typing import cast
 
 import torch
@@ -14,14 +15,13 @@ from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
 
 
 def _first_convolutions(config: NetConfig) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for inputs, stride in ((3, 2), (32, 1), (32, 1)):
+    def block(inputs: int, *, stride: int = 1) -> nn.Sequential:
         if config.first_conv == "conv":
-            layers.append(conv_norm(2, inputs, 32, stride=stride))
-            continue
-        block = V2Block(2, inputs, 32, expansion=config.first_expansion, stride=stride)
-        layers.append(nn.Sequential(block, nn.ReLU()) if config.v2_relu else nn.Sequential(block))
-    return nn.Sequential(*layers)
+            return conv_norm(2, inputs, 32, stride=stride)
+        v2 = V2Block(2, inputs, 32, expansion=config.first_expansion, stride=stride)
+        return nn.Sequential(v2, nn.ReLU()) if config.v2_relu else nn.Sequential(v2)
+
+    return nn.Sequential(block(3, stride=2), block(32), block(32))
 
 
 class ResidualBlock(nn.Module):
@@ -51,26 +51,13 @@ class ResidualBlock(nn.Module):
 def _stage(
     config: NetConfig, inputs: int, outputs: int, blocks: int, *, stride: int = 1, dilation: int = 1
 ) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for index in range(blocks):
-        first = index == 0
-        channels, step = (inputs, stride) if first else (outputs, 1)
+    def block(inputs: int, stride: int) -> nn.Module:
         if config.features == "v2":
-            layers.append(
-                V2Block(
-                    2,
-                    channels,
-                    outputs,
-                    expansion=config.features_expansion,
-                    stride=step,
-                    dilation=dilation,
-                )
-            )
-        else:
-            layers.append(
-                ResidualBlock(config.features, channels, outputs, stride=step, dilation=dilation)
-            )
-    return nn.Sequential(*layers)
+            v2 = partial(V2Block, expansion=config.features_expansion)
+            return v2(2, inputs, outputs, stride=stride, dilation=dilation)
+        return ResidualBlock(config.features, inputs, outputs, stride=stride, dilation=dilation)
+
+    return nn.Sequential(block(inputs, stride), *(block(outputs, 1) for _ in range(blocks - 1)))
 
 
 class FeatureExtraction(nn.Module):

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import cast
 
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.nets.blocks import (
-    CONV,
-    V2Block,
-    conv_norm,
-    hourglass_block,
-    transposed_norm,
-)
+from mobilestereonet.nets.blocks import CONV, V2Block, conv_norm, transposed_norm, v1_block
 from mobilestereonet.nets.msnet_config import NetConfig
 
 
@@ -30,9 +25,8 @@ class PreHourglass(nn.Module):
             v2 = V2Block(
                 config.dims, channels, width, expansion=config.pre_expansion, skip=config.v2_skip
             )
-            return (
-                nn.Sequential(v2, nn.ReLU()) if config.v2_relu and not last else nn.Sequential(v2)
-            )
+            relu = config.v2_relu and not last
+            return nn.Sequential(v2, nn.ReLU()) if relu else nn.Sequential(v2)
 
         self.first = nn.Sequential(block(inputs), block(width))
         self.second = nn.Sequential(block(width), block(width, last=True))
@@ -54,15 +48,12 @@ class Hourglass(nn.Module):
         dims, width = config.dims, config.width
 
         def block(inputs: int, outputs: int, *, stride: int = 1) -> nn.Module:
-            return hourglass_block(
-                config.hourglass,
-                dims,
-                inputs,
-                outputs,
-                stride=stride,
-                expansion=config.hourglass_expansion,
-                skip=config.v2_skip,
-            )
+            if config.hourglass == "conv":
+                return conv_norm(dims, inputs, outputs, stride=stride)
+            if config.hourglass == "v1":
+                return v1_block(dims, inputs, outputs, stride=stride)
+            v2 = partial(V2Block, expansion=config.hourglass_expansion, skip=config.v2_skip)
+            return v2(dims, inputs, outputs, stride=stride)
 
         def redirect(channels: int) -> nn.Module:
             # v1 hourglasses keep the 1x1 convolutions: that is how the paper's tables count.

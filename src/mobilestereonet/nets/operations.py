@@ -1,4 +1,4 @@
-"""Plain functions that several networks share: cost volumes, padding, modes."""
+"""Plain functions that several networks share: cost volumes, modes."""
 
 from __future__ import annotations
 
@@ -66,30 +66,6 @@ def band_volume(
         costs = compare(left, right.gather(3, partner.clamp_min(0).expand_as(right)))
         volume.append(costs * (partner >= 0))
     return torch.stack(volume, dim=2)
-
-
-def pad(view: Tensor, height: int, width: int, *, zeros: bool = False) -> Tensor:
-    """Pad above and on the right, where the authors' evaluation pads, too.
-
-    Columns without a partner at the left border stay at the border, as in training.
-
-    Args:
-        view: (B, C, H, W).
-        height: Height to reach.
-        width: Width to reach.
-        zeros: True pads with zeros, as the authors do: the mean colour once a view is normalised.
-            False repeats the border's pixels, which disturbs what is beside them less.
-
-    Returns:
-        (B, C, height, width).
-    """
-    around = (0, width - view.shape[-1], height - view.shape[-2], 0)
-    return F.pad(view, around, mode="constant" if zeros else "replicate")
-
-
-def unpad(map_: Tensor, height: int, width: int) -> Tensor:
-    """Undo `pad`: (..., padded height, padded width) -> (..., height, width)."""
-    return map_[..., map_.shape[-2] - height :, :width]
 
 
 @contextmanager

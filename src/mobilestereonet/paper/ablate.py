@@ -26,7 +26,7 @@ TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")
 """The paper's ablations, by what `table_models` takes."""
 
 _FIGURES = {"EPE": "epe", "D1": "d1", "px-3": "px-3"}
-"""The paper's names of the figures, and ours."""
+"""The paper's names of the figures, and those of `StereoScores`."""
 
 
 def table_models(table: str) -> list[str]:
@@ -147,7 +147,7 @@ def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
         protocol=EvaluationProtocol(max_disparity),
     )
     scores = result.scores.masks["all"]
-    figures = {name: scores.per_image[ours] for name, ours in _FIGURES.items()}
+    figures = {name: scores.per_image[key] for name, key in _FIGURES.items()}
     known = {name: value for name, value in figures.items() if value is not None}
     if len(known) < len(figures):
         raise InputError(f"{recipe.data}: no pixel to score in 0 < d < {max_disparity}")
@@ -161,19 +161,19 @@ def ablation_table(rows: Sequence[AblationRow], recipe: Recipe) -> Table:
     table = Table(
         title=f"{length} of {recipe.batch_size} pairs on {recipe.data}, "
         f"scored on {rows[0].pairs if rows else 0} pairs",
-        caption="Per-image means, ours beside the paper's (20 epochs of SceneFlow, its test set). "
-        "Other data and another budget: compare the order of the rows, not the figures. It is one "
-        "seed: differences that another seed would turn around are none.",
+        caption="Per-image means, measured here and printed in the paper (20 epochs of SceneFlow, "
+        "its test set). Other data and another budget: compare the order of the rows, not the "
+        "figures. It is one seed: differences that another seed would turn around are none.",
         caption_justify="left",
     )
     table.add_column("model")
     for name in _FIGURES:
-        table.add_column(f"{name}\nours", justify="right")
+        table.add_column(f"{name}\nmeasured", justify="right")
         table.add_column("\npaper", justify="right")
     for row in rows:
         cells = []
-        for name, ours in row.figures.items():
+        for name, measured in row.figures.items():
             paper = printed.get(row.model, {}).get(name)
-            cells += [f"{ours:.2f}", "" if paper is None else f"{paper:.2f}"]
+            cells += [f"{measured:.2f}", "" if paper is None else f"{paper:.2f}"]
         table.add_row(row.model, *cells)
     return table

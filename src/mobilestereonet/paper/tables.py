@@ -1,4 +1,4 @@
-"""The cost figures that the paper prints, each beside ours.
+"""The cost figures that the paper prints, each beside this package's count.
 
 MACs and parameters are those of `count_costs` as the paper counts, at 256 x 512. Errors, such as
 EPE, are shown as printed: none of them was measured here.
@@ -29,21 +29,21 @@ class Cell:
         table: "Table 3a", "Table 3b", "Appendix 2D", "Appendix 3D", "Modules", "Finals" or "Peers".
         row: Name of the model, where it has one, or the paper's words.
         what: "macs", in 1e9 (G), or "params", in 1e6 (M).
-        ours: Our count.
+        counted: The count of this package, as the paper counts.
         printed: The paper's figure.
     """
 
     table: str
     row: str
     what: What
-    ours: float
+    counted: float
     printed: float
 
     @property
     def agrees(self) -> bool:
         """Within 0.1 % of the printed MACs, or 0.01 M of the printed parameters."""
         tolerance = 0.001 * self.printed if self.what == "macs" else 0.01
-        return abs(self.ours - self.printed) <= tolerance
+        return abs(self.counted - self.printed) <= tolerance
 
     @property
     def note(self) -> str | None:
@@ -71,10 +71,16 @@ class PaperTable:
 
 @dataclass(frozen=True)
 class ModelSize:
-    """Size of a model in MB (1e6 bytes), ours where we have the model, and as printed."""
+    """Size of a model in MB (1e6 bytes).
+
+    Attributes:
+        model: The paper's name of it.
+        measured: Size of this package's file; None where it does not have the model.
+        printed: The paper's figure.
+    """
 
     model: str
-    ours: float | None
+    measured: float | None
     printed: float
 
 
@@ -141,18 +147,18 @@ def _modules() -> PaperTable:
     features = _costs("baseline3d")["features"], _costs("msnet3d")["features"]
     decoder2d = encoder_decoder("baseline2d", hourglasses=3), encoder_decoder("msnet2d")
     # See _NOTES: the paper's MACs and parameters are of two different pre-hourglasses.
-    ours3d = Cost(
+    final3d = Cost(
         paper_macs=encoder_decoder("msnet3d", pre_expansion=2).paper_macs,
         paper_params=encoder_decoder("msnet3d").paper_params,
     )
-    decoder3d = encoder_decoder("baseline3d", hourglasses=3), ours3d
+    decoder3d = encoder_decoder("baseline3d", hourglasses=3), final3d
     rows = []
-    for line, (baseline, ours) in zip(
+    for line, (baseline, final) in zip(
         _printed()["table_appendix_modules"], (features, decoder2d, decoder3d), strict=True
     ):
         for kind, cost, prefix in (
             ("baseline", baseline, "baseline_"),
-            ("MobileStereoNet", ours, ""),
+            ("MobileStereoNet", final, ""),
         ):
             name = f"{line['module']}, {kind}"
             cells = _cells("Modules", name, cost, line[f"{prefix}macs"], line[f"{prefix}params"])

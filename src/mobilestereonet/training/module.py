@@ -17,12 +17,12 @@ from torch.nn.utils import (
 )
 
 from mobilestereonet.accelerate import accelerate
-from mobilestereonet.data.images import to_picture
+from mobilestereonet.data.images import pad, to_picture, unpad
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
-from mobilestereonet.nets.operations import eval_mode, pad, unpad
+from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.muon import Muon

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 
 from mobilestereonet import settings
 from mobilestereonet.data.augment import AugmentConfig
@@ -24,6 +25,9 @@ from mobilestereonet.weights import is_embedded
 
 MODEL_LOSS = "model"
 """A recipe's loss that is the network's own."""
+
+RECIPE_FILES = sorted(Path(__file__).with_name("recipes").glob("*.yaml"))
+"""The named recipes as commented files."""
 
 _LOCATIONS = {"root", "textures"}
 """Recipe values that locate the data; they do not change what is trained."""
@@ -174,80 +178,19 @@ class Recipe:
         return json.dumps(dataclasses.asdict(self), indent=2)
 
 
-_PAPER_CROP = AugmentConfig(height=256, width=512)
+def _named_recipes() -> dict[str, Recipe]:
+    """The recipes of the folder ``recipes``; one may name another as its ``base``."""
+    records = {path.stem: yaml.safe_load(path.read_text("utf-8")) for path in RECIPE_FILES}
 
-_PROCEDURAL = Recipe(
-    net={"estimator": "mode"},
-    scenes=SceneConfig(height=320, width=640),
-    augment=AugmentConfig(
-        height=256,
-        width=512,
-        scale=(-0.3, 0.4),
-        vertical_shift=0.7,
-        rotation=0.1,
-        exposure=(0.25, 0.55),
-        brightness=0.2,
-        contrast=0.3,
-        saturation=0.5,
-        hue=0.3,
-        gamma=0.4,
-        view_change=0.2,
-        grey=0.1,
-        vignette=0.2,
-        blur=1.0,
-        blur_probability=0.3,
-        noise=0.03,
-        patch_probability=0.2,
-    ),
-    steps=60_000,
-    optimizer="muon",
-    schedule=((0.0, 0.01), (0.02, 1.0), (0.5, 1.0), (1.0, 0.01)),
-    clip=1.0,
-    ema=0.999,
-    full_heads=1,
-    cross_entropy=5.0,
-    volume_cross_entropy=5.0,
-    zero_residuals=True,
-)
+    def complete(record: Mapping[str, Any]) -> dict[str, Any]:
+        base = record.get("base")
+        values = {key: value for key, value in record.items() if key != "base"}
+        return (complete(records[base]) if base else {}) | values
 
-RECIPES: dict[str, Recipe] = {
-    "paper-sceneflow": Recipe(
-        data="sceneflow",
-        data_options={"split": "train"},
-        val_options={"split": "test"},
-        augment=_PAPER_CROP,
-        epochs=20,
-        schedule=(
-            (0.0, 1.0),
-            (0.5, 1.0),
-            (0.5, 0.5),
-            (0.6, 0.5),
-            (0.6, 0.25),
-            (0.7, 0.25),
-            (0.7, 0.125),
-            (0.8, 0.125),
-            (0.8, 0.0625),
-            (1.0, 0.0625),
-        ),
-    ),
-    "paper-kitti2015": Recipe(
-        data="kitti2015",
-        data_options={"split": "train"},
-        val_options={"split": "val"},
-        augment=_PAPER_CROP,
-        epochs=400,
-        schedule=((0.0, 1.0), (0.5, 1.0), (0.5, 0.1), (1.0, 0.1)),
-    ),
-    "procedural": _PROCEDURAL,
-    "procedural-plain": dataclasses.replace(
-        _PROCEDURAL,
-        net={},
-        full_heads=None,
-        cross_entropy=0.0,
-        volume_cross_entropy=0.0,
-        zero_residuals=False,
-    ),
-}
+    return {name: build(Recipe, complete(record), name) for name, record in records.items()}
+
+
+RECIPES = _named_recipes()
 """Recipes by name. "procedural-plain" asks nothing of a network but its own loss."""
 
 

@@ -14,7 +14,8 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.responses import PlainTextResponse
 
-from mobilestereonet.web.page import Handlers, PageConfig, build_page, page_style
+from mobilestereonet.web.handlers import Handlers, PageConfig
+from mobilestereonet.web.page import build_page, page_style
 
 # What the page needs of gradio's API, files by their path (on Windows, after a drive's letter).
 # The rest fetches web addresses, edits videos, keeps states.

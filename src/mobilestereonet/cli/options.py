@@ -1,0 +1,42 @@
+"""Options and arguments that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from mobilestereonet.cli.early import RECIPES, assignment, existing_file, existing_folder, one_of
+
+LeftView: TypeAlias = Annotated[
+    Path, typer.Argument(help="Left view of a rectified pair.", callback=existing_file)
+]
+RightView: TypeAlias = Annotated[
+    Path, typer.Argument(help="Right view, of the same size.", callback=existing_file)
+]
+OutputFolder: TypeAlias = Annotated[
+    Path, typer.Option("--output", "-o", help="Folder to write to.")
+]
+AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+DataRoot: TypeAlias = Annotated[
+    Path,
+    typer.Option(help="Folder in which its archives were unpacked.", callback=existing_folder),
+]
+Textures: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(help="Folder of photographs for procedural scenes.", callback=existing_folder),
+]
+Recipe: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help=f"{', '.join(RECIPES[:-1])} or {RECIPES[-1]}.", callback=one_of(RECIPES)),
+]
+RecipeValues: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Override a value of the recipe, such as lr=5e-4, augment.noise=0.02, scenes.seed=7 "
+        "or net.cost_volume=correlation. Repeat for more.",
+        callback=assignment,
+    ),
+]
