@@ -34,7 +34,8 @@ class BatchedMobileStereoNet(MobileStereoNet):
 
     def view_features(self, left: Tensor, right: Tensor) -> Sequence[Tensor]:
         """See `MobileStereoNet.view_features`."""
-        return self.reduction(self.features(torch.cat((left, right)))).chunk(2)
+        views: Tensor = self.reduction(self.features(torch.cat((left, right))))
+        return views.chunk(2)
 
 
 class BatchedCorrelation(Correlation):

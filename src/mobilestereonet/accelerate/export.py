@@ -158,18 +158,20 @@ class ExportableMobileStereoNet(ExportableNet):
             slice_layers(self)
 
     def _match(self, left: Tensor, right: Tensor) -> Tensor:
-        planes, band, guidance = self.config.planes, self.config.band_planes, None
-        views = torch.cat((left, right))
-        if self.config.coarse_pass:
-            coarse = self._scores(halve(views), planes // 2)
-            guidance = guidance_in_four_dimensions(coarse)
-        if not band:
-            scores = self._scores(views, planes, guidance)
-        else:
-            start = band_start(coarse, band)
-            scores = self._scores(views, band, cut_band(guidance, start, band), start)
-            scores = spread_band(scores, start, planes)
+        scores = self._all_scores(torch.cat((left, right)))
         return scores if self.gives_scores else closed_form(upsample(scores), self.estimator)
+
+    def _all_scores(self, views: Tensor) -> Tensor:
+        planes, band = self.config.planes, self.config.band_planes
+        if not self.config.coarse_pass:
+            return self._scores(views, planes)
+        coarse = self._scores(halve(views), planes // 2)
+        guidance = guidance_in_four_dimensions(coarse)
+        if not band:
+            return self._scores(views, planes, guidance)
+        start = band_start(coarse, band)
+        scores = self._scores(views, band, cut_band(guidance, start, band), start)
+        return spread_band(scores, start, planes)
 
     def _scores(
         self,

@@ -8,7 +8,7 @@ from pathlib import Path
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.options import OutputFolder
 
-_FASTER_MODEL = "msnet2d"
+_FASTER = "fast"
 
 
 def demo(
@@ -56,10 +56,10 @@ def demo(
     print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
     print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
     print(f"Time {info.seconds:.2f} s (first run, warm-up included)")
-    if options.is_default:
-        _, faster, others = match(replace(options, model=_FASTER_MODEL).open_matcher())
+    if options.is_default and options.quality is None:
+        _, faster, others = match(replace(options, quality=_FASTER).open_matcher())
         figures = "EPE {epe:.3f} px, D1 {d1:.2f} %".format(**others.figures())
-        print(f"The faster model, --model {_FASTER_MODEL}: {faster.seconds:.2f} s, {figures}")
+        print(f"With --quality {_FASTER}: {faster.seconds:.2f} s, {figures}")
         if faster.seconds >= info.seconds:
             print("other programs use the cores: the times mean little; try --threads 1")
     print(f"Picture {files['picture']}, left view beside the disparity (blue far, red near)")

@@ -21,6 +21,8 @@ from mobilestereonet.settings import parse_assignments
 ENGINES = ("torch", "onnxruntime", "openvino")
 """Engines that run a network."""
 
+QUALITIES = ("fast", "balanced", "best")
+
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
 
 _PACKAGE = Path(__file__).parents[1]

@@ -11,6 +11,7 @@ import typer
 from mobilestereonet.cli.early import (
     ENGINES,
     PRECISIONS,
+    QUALITIES,
     check_trained,
     device_name,
     each,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 _SOURCES = (
     "Name of a model (see msnet models), weights file or folder, org/name on the Hugging Face hub"
 )
-_DEFAULT = "Default: msnet3d, or what the weights hold; msnet2d is the faster one."
+_DEFAULT = "Default: what the weights hold, else that of the quality balanced."
 
 
 def network_values(assignments: list[str] | None) -> dict[str, Any]:
@@ -48,6 +49,14 @@ Model: TypeAlias = Annotated[
 ]
 Network: TypeAlias = Annotated[str | None, typer.Option(help=f"{_SOURCES}. {_DEFAULT}")]
 """A model that is a network of PyTorch, as an export needs it."""
+QualityLevel: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="fast, balanced or best: a network with its weights and settings, in place of --model "
+        "and --weights. Default: balanced.",
+        callback=one_of(QUALITIES),
+    ),
+]
 Weights: TypeAlias = Annotated[
     Path | None,
     typer.Option(
@@ -168,9 +177,16 @@ class MatcherOptions(NetworkOptions):
     threads: Threads = None
     device: Device = "auto"
     refine: Refine = None
+    quality: QualityLevel = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.quality is not None and (self.model or self.weights):
+            other = f"--model {self.model}" if self.model else f"--weights {self.weights}"
+            raise InputError(
+                f"--quality {self.quality} chooses a network and its weights, and so does {other}: "
+                "leave one of them out"
+            )
         if not self.is_standalone:
             return
         if self.weights is not None:
@@ -201,7 +217,8 @@ class MatcherOptions(NetworkOptions):
             options |= {"engine": self.runtime, "precision": self.precision}
             options["model"] = self.model if self.weights else None
         return StereoMatcher.from_pretrained(
-            self.source,
+            None if self.is_default else self.source,
+            quality=self.quality,
             threads=self.threads,
             device=self.device,
             refine=self.refine,

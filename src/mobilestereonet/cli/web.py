@@ -38,7 +38,7 @@ def web(
 
     from mobilestereonet.engines.choose import ENGINES
     from mobilestereonet.engines.sgbm import StereoSGBM
-    from mobilestereonet.inference import DEFAULT_MODEL, StereoMatcher
+    from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES, StereoMatcher
     from mobilestereonet.web.examples import examples
     from mobilestereonet.web.handlers import PageConfig
     from mobilestereonet.web.server import running
@@ -48,14 +48,18 @@ def web(
     def matcher(model: str, engine: str) -> StereoMatcher:
         if model == StereoSGBM.name:
             return StereoMatcher.from_pretrained(model)
-        return replace(options, model=model, runtime=engine).open_matcher(confidence=True)
+        if model in QUALITIES:
+            chosen = replace(options, runtime=engine, quality=model)
+        else:
+            chosen = replace(options, runtime=engine, model=model)
+        return chosen.open_matcher(confidence=True)
 
     if settings:  # a mistake is told now, not to the first visitor
         for name in embedded_models():
             load_model(name, config=options.config)
-    others = [name for name in embedded_models() if name != DEFAULT_MODEL]
+    levels = sorted(QUALITIES, key=lambda name: name != DEFAULT_QUALITY)
     config = PageConfig(
-        models=[DEFAULT_MODEL, *others, StereoSGBM.name],
+        models=[*levels, *embedded_models(), StereoSGBM.name],
         engines=[name for name in ENGINES if find_spec(name)],
         matcher=matcher,
         examples=examples(),

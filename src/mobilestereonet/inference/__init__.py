@@ -2,16 +2,20 @@
 
 from mobilestereonet.inference.checks import Finding, check_pair
 from mobilestereonet.inference.geometry import PointCloud
-from mobilestereonet.inference.matcher import DEFAULT_MODEL, StereoMatcher
+from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
+from mobilestereonet.inference.quality import DEFAULT_MODEL, DEFAULT_QUALITY, QUALITIES, Quality
 from mobilestereonet.inference.rectify import rectify_pair
 from mobilestereonet.inference.result import RunInfo, StereoResult
 
 __all__ = [
     "DEFAULT_MODEL",
+    "DEFAULT_QUALITY",
+    "QUALITIES",
     "Finding",
     "ImageLike",
     "PointCloud",
+    "Quality",
     "RunInfo",
     "StereoMatcher",
     "StereoPair",

@@ -14,6 +14,7 @@ from torch import Tensor
 from mobilestereonet.accelerate.modules import device_of
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine
+from mobilestereonet.engines.scaled import ScaledEngine
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.checks import quick_checks
 from mobilestereonet.inference.pair import (
@@ -25,11 +26,10 @@ from mobilestereonet.inference.pair import (
 )
 from mobilestereonet.inference.predict import Tile, match_pairs, predict_disparity
 from mobilestereonet.inference.pretrained import misspelt_options, open_model
+from mobilestereonet.inference.quality import DEFAULT_QUALITY, Quality, find_quality
 from mobilestereonet.inference.result import RunInfo, StereoResult
 from mobilestereonet.nets import StereoModel, VolumeModel, model_name
 from mobilestereonet.nets.model import Prediction
-
-DEFAULT_MODEL = "msnet3d"
 
 
 class StereoMatcher:
@@ -43,9 +43,11 @@ class StereoMatcher:
     Attributes:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
+        quality: Name of the quality level that it was made by, see `QUALITIES`; None for others.
     """
 
     engine: Engine
+    quality: str | None = None
 
     def __init__(
         self,
@@ -61,6 +63,7 @@ class StereoMatcher:
         confidence: bool = False,
         left_right: bool = False,
         refine: bool | None = None,
+        scale: float = 1.0,
     ) -> None:
         """Make a matcher of a network or an engine.
 
@@ -85,6 +88,8 @@ class StereoMatcher:
             refine: Refine the disparity by the colours of the view, see `inference.refine`, for
                 some percent more time. By default where the network's estimator is "mode", as it
                 is with this package's weights, and not with the authors'.
+            scale: Factor in 0.25..1 of height and width in which a pair is matched: 0.75 takes
+                about half of the time; the result has the size of the views.
 
         Raises:
             InputError: If an engine is unknown or not installed, or lacks the precision or the
@@ -101,6 +106,7 @@ class StereoMatcher:
                 raise InputError(f"{what} must be (height, width), got {size!r}")
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
+        self._scale = scale
         self._net = model if isinstance(model, StereoModel) else None
         self._options: dict[str, Any] = {"precision": precision, "threads": threads}
         if isinstance(model, StereoModel):
@@ -113,7 +119,7 @@ class StereoMatcher:
                 "where it is made"
             )
         else:
-            self.engine = model
+            self.engine = self._scaled(model)
         if refine is None:
             refine = isinstance(model, VolumeModel) and model.regression.estimator == "mode"
         if (confidence or refine) and not self.engine.has_confidence:
@@ -131,8 +137,9 @@ class StereoMatcher:
     @classmethod
     def from_pretrained(
         cls,
-        source: str | Path = DEFAULT_MODEL,
+        source: str | Path | None = None,
         *,
+        quality: str | None = None,
         model: str | None = None,
         revision: str | None = None,
         engine: str = "torch",
@@ -144,6 +151,7 @@ class StereoMatcher:
         confidence: bool = False,
         left_right: bool = False,
         refine: bool | None = None,
+        scale: float | None = None,
         config: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> StereoMatcher:
@@ -153,7 +161,9 @@ class StereoMatcher:
             source: What `load_model` takes: the name of a model whose weights come with the
                 package, a weights file or folder, or a repository "org/name" of the Hugging Face
                 hub. Or a model that needs no network of this package: "sgbm" (OpenCV's semi-global
-                matching), "onnx:FILE" (see `OnnxFileEngine`).
+                matching), "onnx:FILE" (see `OnnxFileEngine`). None: what ``quality`` chooses.
+            quality: "fast", "balanced" or "best", see `QUALITIES`: a network with its weights and
+                settings. Without a source either it is "balanced".
             model: Name of the network that ``source`` holds, where a file does not tell.
             revision: Branch, tag or commit of a repository.
             engine: See `StereoMatcher`, and so for those that follow.
@@ -165,6 +175,7 @@ class StereoMatcher:
             confidence: Likewise.
             left_right: Likewise.
             refine: Likewise.
+            scale: Likewise; by default that of the quality.
             config: Values of the network's config in place of those of the weights; for "sgbm" its
                 ``max_disparity``.
             **overrides: The same as keywords, such as ``estimator="mean"``.
@@ -172,29 +183,43 @@ class StereoMatcher:
         Raises:
             FileNotFoundError: If there is no such weights file.
             InputError: If a name is unknown, there are no weights for it, or the file is damaged
-                or holds another model than ``model``; or if the engine is not installed, or lacks
+                or holds another model than ``model``; if both ``source`` and ``quality`` are
+                given; or if the engine is not installed, or lacks
                 the precision or the device.
         """
+        if source is not None and quality is not None:
+            raise InputError(
+                f"quality={quality!r} chooses a network and its weights, and so does {source}: "
+                "leave one of them out"
+            )
+        if source is None:
+            quality = quality or DEFAULT_QUALITY
+        level = Quality(str(source)) if quality is None else find_quality(quality)
         with misspelt_options(cls.from_pretrained, overrides):
             opened, options = open_model(
-                source,
+                level.model if source is None else source,
                 model=model,
                 revision=revision,
                 engine=engine,
                 precision=precision,
                 device=device,
                 threads=threads,
-                config={**(config or {}), **overrides},
+                config={**level.config, **(config or {}), **overrides},
             )
-        return cls(
+        if quality is not None:
+            options["name"] = level.model
+        matcher = cls(
             opened,
             padding=padding,
             tile=tile,
             confidence=confidence,
             left_right=left_right,
             refine=refine,
+            scale=level.scale if scale is None else scale,
             **options,
         )
+        matcher.quality = quality
+        return matcher
 
     def to(self, device: str | torch.device) -> StereoMatcher:
         """Move the matcher to a device: the engine is made anew there from the network.
@@ -214,8 +239,11 @@ class StereoMatcher:
             raise InputError(
                 f"{self.engine.name} was given as an engine on {self.device}: make it on {device}"
             )
-        self.engine = open_engine(net=self._net, device=device, **self._options)
+        self.engine = self._scaled(open_engine(net=self._net, device=device, **self._options))
         return self
+
+    def _scaled(self, engine: Engine) -> Engine:
+        return engine if self._scale == 1 else ScaledEngine(engine, self._scale)
 
     @property
     def device(self) -> torch.device:
@@ -224,8 +252,9 @@ class StereoMatcher:
 
     @property
     def summary(self) -> str:
-        """Model, engine and precision in words."""
-        return f"{self.model} on {self.engine.name} {self.engine.precision}"
+        """Quality, model, engine and precision in words."""
+        model = f"{self.quality} ({self.model})" if self.quality else self.model
+        return f"{model} on {self.engine.name} {self.engine.precision}"
 
     def __repr__(self) -> str:
         engine = self.engine
@@ -325,6 +354,7 @@ class StereoMatcher:
             width=pairs[0].width,
             height=pairs[0].height,
             seconds=(time.perf_counter() - started) / len(pairs),
+            quality=self.quality,
         )
         return [
             StereoResult(

@@ -27,11 +27,14 @@ class Quality:
 
 
 QUALITIES = {
-    "fast": Quality("msnet3d-cascade", {"hourglasses": 1}, scale=0.75),
-    "balanced": Quality("msnet3d-cascade"),
+    "fast": Quality("msnet3d", {"hourglasses": 1}, scale=0.75),
+    "balanced": Quality("msnet3d"),
     "best": Quality("msnet3d"),
 }
 """Quality levels by name, from the least time to the least error."""
+
+DEFAULT_MODEL = QUALITIES[DEFAULT_QUALITY].model
+"""The network of the default quality."""
 
 
 def find_quality(name: str) -> Quality:

@@ -46,6 +46,7 @@ class RunInfo:
         width: Width of the views in px.
         height: Height of the views in px.
         seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.
+        quality: Quality level that chose the model; None where none did.
     """
 
     model: str
@@ -56,9 +57,11 @@ class RunInfo:
     width: int
     height: int
     seconds: float
+    quality: str | None = None
 
     def __str__(self) -> str:
-        return f"{self.model} on {self.engine} {self.precision}, {self.width}x{self.height}"
+        model = f"{self.quality} ({self.model})" if self.quality else self.model
+        return f"{model} on {self.engine} {self.precision}, {self.width}x{self.height}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -221,4 +221,6 @@ def model_name(config: Any) -> str:
     Of several the one from which it differs in the fewest free fields, the first of equals.
     """
     names = [name for name in _MODELS if is_model(config, name)]
-    return min(names, key=lambda name: len(differences(config, model_config(name))), default="custom")
+    return min(
+        names, key=lambda name: len(differences(config, model_config(name))), default="custom"
+    )

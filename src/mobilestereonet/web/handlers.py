@@ -27,7 +27,7 @@ class PageConfig:
     """Models, engines, examples and limits of the page.
 
     Attributes:
-        models: Names of the models; the first is the default.
+        models: Quality levels and names of models; the first is the default.
         engines: Names of the engines; the first is the default.
         matcher: Makes a matcher of a model's and an engine's name.
         examples: Pairs with calibration.

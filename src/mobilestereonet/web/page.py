@@ -137,7 +137,10 @@ def _settings(config: PageConfig) -> tuple[list[Any], list[Any]]:
     with gr.Accordion("More settings", open=False):
         with gr.Row():
             model = gr.Dropdown(
-                config.models, label="Network", info="sgbm: not a network", min_width=140
+                config.models,
+                label="Quality or network",
+                info="fast, balanced, best; sgbm: not a network",
+                min_width=140,
             )
             engine = gr.Dropdown(
                 config.engines, label="Engine", info="msnet bench times them", min_width=140

@@ -1,0 +1,48 @@
+"""Quality levels: what they choose, and what is refused beside them."""
+
+import numpy as np
+import pytest
+
+from mobilestereonet import InputError, StereoMatcher
+from mobilestereonet.cli.early import QUALITIES as NAMES
+from mobilestereonet.engines.scaled import ScaledEngine
+from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES
+
+
+def test_the_command_line_knows_the_names():
+    assert tuple(QUALITIES) == NAMES
+
+
+@pytest.mark.parametrize("name", QUALITIES)
+def test_a_level_is_a_network_with_its_settings(name):
+    matcher = StereoMatcher.from_pretrained(quality=name)
+    level = QUALITIES[name]
+    assert matcher.quality == name and matcher.model == level.model
+    for key, value in level.config.items():
+        assert getattr(matcher._net.config, key) == value
+    assert isinstance(matcher.engine, ScaledEngine) == (level.scale != 1)
+    views = np.random.default_rng(0).integers(0, 255, (2, 40, 70, 3), np.uint8)
+    result = matcher(*views)
+    assert result.disparity.shape == (40, 70)
+    assert str(result.info).startswith(f"{name} ({level.model}) on torch fp32")
+
+
+def test_the_default_is_balanced_and_a_source_has_no_quality():
+    assert StereoMatcher.from_pretrained().quality == DEFAULT_QUALITY == "balanced"
+    assert StereoMatcher.from_pretrained("msnet2d").quality is None
+
+
+def test_refused():
+    with pytest.raises(InputError, match="quality must be one of fast, balanced, best, got 'good'"):
+        StereoMatcher.from_pretrained(quality="good")
+    with pytest.raises(InputError, match="quality='best' chooses a network .* so does msnet2d"):
+        StereoMatcher.from_pretrained("msnet2d", quality="best")
+
+
+def test_the_command_refuses_both(msnet):
+    for option in (("--model", "msnet2d"), ("--weights", "tests/conftest.py")):
+        code, _, error = msnet("demo", "--quality", "fast", *option)
+        assert code == 2
+        assert f"--quality fast chooses a network and its weights, and so does {option[0]}" in error
+    code, _, error = msnet("demo", "--quality", "fats")
+    assert code == 2 and "did you mean fast?" in error
