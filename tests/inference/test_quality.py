@@ -5,6 +5,7 @@ import pytest
 
 from mobilestereonet import InputError, StereoMatcher
 from mobilestereonet.cli.early import QUALITIES as NAMES
+from mobilestereonet.data import write_png
 from mobilestereonet.engines.scaled import ScaledEngine
 from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES
 
@@ -35,7 +36,7 @@ def test_the_default_is_balanced_and_a_source_has_no_quality():
 def test_refused():
     with pytest.raises(InputError, match="quality must be one of fast, balanced, best, got 'good'"):
         StereoMatcher.from_pretrained(quality="good")
-    with pytest.raises(InputError, match="quality='best' chooses a network .* so does msnet2d"):
+    with pytest.raises(InputError, match=r"quality='best' chooses a network .* so does msnet2d"):
         StereoMatcher.from_pretrained("msnet2d", quality="best")
 
 
@@ -46,3 +47,16 @@ def test_the_command_refuses_both(msnet):
         assert f"--quality fast chooses a network and its weights, and so does {option[0]}" in error
     code, _, error = msnet("demo", "--quality", "fats")
     assert code == 2 and "did you mean fast?" in error
+
+
+def test_the_range_of_disparities_is_chosen_when_it_runs(msnet, tmp_path):
+    pair = [tmp_path / "left.png", tmp_path / "right.png"]
+    views = np.random.default_rng(0).integers(0, 255, (2, 32, 64, 3), np.uint8)
+    for path, view in zip(pair, views, strict=True):
+        write_png(path, view)
+    arguments = ("predict", *pair, "-o", tmp_path / "out")
+    for options in (("--quality", "fast"), ("--model", "sgbm")):
+        code, _, error = msnet(*arguments, *options, "--max-disparity", 64)
+        assert code == 0, error
+    code, _, error = msnet(*arguments, "--model", "msnet2d", "--max-disparity", 64)
+    assert code == 2 and "with max_disparity=64: leave out what these weights" in error

@@ -106,6 +106,16 @@ Refine: TypeAlias = Annotated[
 ]
 
 
+MaxDisparity: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        min=16,
+        help="Search disparities below this, in px: of 3D networks (a multiple of 32) and sgbm (of "
+        "16). Smaller ones take less time, larger ones see nearer things. Default: the model's.",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class NetworkOptions:
     """Options that choose a network, its weights and values of its config.
@@ -178,6 +188,7 @@ class MatcherOptions(NetworkOptions):
     device: Device = "auto"
     refine: Refine = None
     quality: QualityLevel = None
+    max_disparity: MaxDisparity = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -200,6 +211,14 @@ class MatcherOptions(NetworkOptions):
         if chosen := [f"--{name}" for name, value in given.items() if value not in defaults]:
             library = "OpenCV" if self.model == "sgbm" else "ONNX Runtime"
             raise InputError(f"{self.model} runs in {library} alone: leave {', '.join(chosen)} out")
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Values of the network's config, the range of disparities among them."""
+        values = super().config
+        return (
+            values if self.max_disparity is None else values | {"max_disparity": self.max_disparity}
+        )
 
     def open_matcher(self, **options: Any) -> StereoMatcher:
         """The matcher that these options ask for.
