@@ -1,5 +1,7 @@
 """Quality levels: what they choose, and what is refused beside them."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from mobilestereonet.cli.early import QUALITIES as NAMES
 from mobilestereonet.data import write_png
 from mobilestereonet.engines.scaled import ScaledEngine
 from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES
+from mobilestereonet.inference.rate import choose_quality
 
 
 def test_the_command_line_knows_the_names():
@@ -60,3 +63,30 @@ def test_the_range_of_disparities_is_chosen_when_it_runs(msnet, tmp_path):
         assert code == 0, error
     code, _, error = msnet(*arguments, "--model", "msnet2d", "--max-disparity", 64)
     assert code == 2 and "with max_disparity=64: leave out what these weights" in error
+
+
+class Paced:
+    """A matcher that takes a given time."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+    def match(self, pair):
+        time.sleep(self.seconds)
+
+
+@pytest.mark.parametrize(
+    ("hz", "expected"),
+    [(1, ("best", None)), (30, ("balanced", None)), (300, ("fast", 0.5)), (1e6, ("fast", 0.35))],
+)
+def test_the_best_level_that_keeps_up_with_a_rate(hz, expected):
+    times = {("best", None): 0.1, ("balanced", None): 0.01, ("fast", None): 0.02}
+    opened = []
+
+    def open_level(*choice):
+        opened.append(choice)
+        return Paced(times.get(choice, 0.0005))
+
+    seconds = choose_quality(None, hz, open_level)[1]
+    assert opened[-1] == expected
+    assert seconds >= times.get(expected, 0.0005)

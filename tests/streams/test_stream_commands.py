@@ -50,6 +50,26 @@ def test_video_of_a_sequence_with_depth(msnet, sequence):
     assert len(list(maps.iterdir())) == 20
 
 
+def test_a_rate_chooses_the_network(monkeypatch, capfd, sequence):
+    monkeypatch.setattr(
+        "mobilestereonet.inference.rate.choose_quality",
+        lambda pair, hz, open_level: (open_level("fast", 0.35), 0.5),
+    )
+    views = [str(sequence / "left"), str(sequence / "right")]
+    arguments = ["video", *views, "--frames", str(sequence / "maps"), "--hz", "10"]
+    monkeypatch.setattr(sys, "argv", ["msnet", *arguments, "--precision", "fp32"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, _ = capfd.readouterr()
+    assert not ended.value.code
+    assert "at 0.35 of the size on torch fp32: 2.0 frames per second, the fastest here" in out
+    assert len(list((sequence / "maps").iterdir())) == 11  # the first frame, too
+    monkeypatch.setattr(sys, "argv", ["msnet", *arguments, "--quality", "fast"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "--hz 10 chooses the network" in capfd.readouterr().err
+
+
 def test_ctrl_c_keeps_what_there_is_and_resume_goes_on(msnet, sequence, monkeypatch):
     # A real signal may end the process that runs the tests: the event is set as Ctrl-C sets it.
     calls, match, pressed = [], StereoSGBM.__call__, threading.Event()

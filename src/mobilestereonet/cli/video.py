@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +13,10 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.streams import Stream
 
 
 def video(
@@ -52,6 +57,15 @@ def video(
     fps: Annotated[
         float, typer.Option(min=0.01, help="Frames per second of an image sequence.")
     ] = 10.0,
+    hz: Annotated[
+        float | None,
+        typer.Option(
+            "--hz",
+            min=0.01,
+            help="Frames per second to keep up with: chooses the quality, and a smaller size if "
+            "need be, by a measurement on the first frame.",
+        ),
+    ] = None,
     *,
     options: MatcherOptions,
     cameras: CalibrationOptions,
@@ -63,6 +77,10 @@ def video(
         raise InputError("--beside needs --output VIDEO, whose pictures it widens")
     if frames is None and (resume or cameras.given):
         raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
+    if hz is not None and (options.quality is not None or not options.is_default):
+        raise InputError(
+            f"--hz {hz:g} chooses the network: leave out --quality, --model and --weights"
+        )
 
     import time
 
@@ -80,7 +98,10 @@ def video(
                     f"{output}: the video would replace its source; choose another name"
                 )
     stream = open_stream(left, right, fps)
-    matcher = options.open_matcher()
+    if hz is None:
+        matcher = options.open_matcher()
+    else:
+        matcher, stream = _matcher_for_rate(hz, stream, options)
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()
     stop = Event()
@@ -112,3 +133,23 @@ def video(
         print(f"{stats.dropped} frames of the camera dropped: it is faster than matching")
     if stop.is_set():
         print("stopped" + ("" if stream.live or frames is None else "; --resume goes on from here"))
+
+
+def _matcher_for_rate(
+    hz: float, stream: Stream, options: MatcherOptions
+) -> tuple[StereoMatcher, Stream]:
+    """The best quality level that keeps up with a rate, which it says, and the whole stream."""
+    from mobilestereonet.inference.rate import choose_quality
+    from mobilestereonet.streams.stream import first_pair
+
+    pair, stream = first_pair(stream)
+    if pair is None:
+        raise InputError("no frame can be read")
+
+    def open_level(name: str, scale: float | None) -> StereoMatcher:
+        return replace(options, quality=name).open_matcher(scale=scale)
+
+    matcher, seconds = choose_quality(pair, hz, open_level)
+    slow = "" if seconds <= 1 / hz else f", the fastest here: too slow for {hz:g}"
+    print(f"{matcher.summary}: {1 / seconds:.1f} frames per second{slow}", flush=True)
+    return matcher, stream

@@ -254,6 +254,8 @@ class StereoMatcher:
     def summary(self) -> str:
         """Quality, model, engine and precision in words."""
         model = f"{self.quality} ({self.model})" if self.quality else self.model
+        if self._scale != 1:
+            model += f" at {self._scale:g} of the size"
         return f"{model} on {self.engine.name} {self.engine.precision}"
 
     def __repr__(self) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +48,22 @@ class Stream:
     frames: Generator[StereoFrame]
     total: int | None
     live: bool = False
+
+
+def first_pair(stream: Stream) -> tuple[StereoPair | None, Stream]:
+    """The first pair of a stream that can be read, None if there is none, and the whole stream."""
+    seen: list[StereoFrame] = []
+    for frame in stream.frames:
+        seen.append(frame)
+        if frame.pair is not None:
+            break
+
+    def again() -> Generator[StereoFrame]:
+        with closing(stream.frames):
+            yield from seen
+            yield from stream.frames
+
+    return (seen[-1].pair if seen else None), replace(stream, frames=again())
 
 
 def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:
