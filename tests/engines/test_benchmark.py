@@ -7,6 +7,7 @@ import torch
 from small_networks import Direct, Scoring, make, make_msnet
 
 from mobilestereonet import save_weights
+from mobilestereonet.cli.early import QUALITIES
 from mobilestereonet.engines import benchmark, choose
 from mobilestereonet.engines.benchmark import EngineTime, fastest
 from mobilestereonet.engines.sgbm import StereoSGBM
@@ -74,3 +75,11 @@ def test_command_with_a_model_that_is_an_engine(msnet):
     assert code == 0
     assert "sgbm, 30x50" in out
     assert "--runtime" not in out
+
+
+def test_the_quality_levels(msnet):
+    code, out, _ = msnet("bench", "--levels", "--size", 64, 96, "--repeats", 1)
+    assert code == 0
+    assert [line for line in ("fast", "balanced", "best") if f"│ {line} " in out] == [*QUALITIES]
+    code, _, error = msnet("bench", "--levels", "--model", "msnet2d")
+    assert code == 2 and "leave out the network" in error

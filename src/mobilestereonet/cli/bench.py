@@ -19,13 +19,23 @@ def bench(
     threads: Threads = None,
     device: Device = "auto",
     repeats: Annotated[int, typer.Option(min=1, help="Timed runs of each engine.")] = 5,
+    levels: Annotated[
+        bool, typer.Option("--levels", help="Time the quality levels instead, as predict has them.")
+    ] = False,
 ) -> None:
     """Time every installed engine on this machine, against PyTorch unaccelerated in fp32.
 
-    Says how to ask for the fastest one in each precision. Of sgbm or an ONNX file, its own time.
+    Says how to ask for the fastest one in each precision. Of sgbm or an ONNX file, its own time;
+    with --levels that of each --quality.
     """
     if min(size) < 1:
         raise InputError("size must be a height and a width above 0, got {} {}".format(*size))
+
+    if levels:
+        if options.model or options.weights or options.settings:
+            raise InputError("--levels times fast, balanced and best: leave out the network")
+        _time_levels(size, threads, device, repeats)
+        return
 
     import sys
 
@@ -72,3 +82,33 @@ def bench(
     if not standalone:
         for precision, row in fastest(times).items():
             print(f"fastest in {precision}: --runtime {row.engine} --precision {precision}")
+
+
+def _time_levels(size: tuple[int, int], threads: int | None, device: str, repeats: int) -> None:
+    """Print the time of each quality level, refinement included."""
+    from functools import partial
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from mobilestereonet.data.motorcycle import motorcycle_views
+    from mobilestereonet.inference import QUALITIES, StereoMatcher
+    from mobilestereonet.timing import time_interleaved
+
+    left, right = motorcycle_views(size)
+    matchers = [
+        StereoMatcher.from_pretrained(
+            quality=name, precision="auto", device=device, threads=threads
+        )
+        for name in QUALITIES
+    ]
+    runs = [partial(matcher.infer, left, right) for matcher in matchers]
+    for run in runs:
+        run()  # the first one also prepares
+    table = Table("--quality", "network", "precision", title=f"{size[0]}x{size[1]}, {device}")
+    for column in ("ms", "pairs per second"):
+        table.add_column(column, justify="right")
+    for matcher, seconds in zip(matchers, time_interleaved(*runs, repeats=repeats), strict=True):
+        times = (f"{seconds * 1000:.0f}", f"{1 / seconds:.2f}")
+        table.add_row(matcher.quality, matcher.model, matcher.engine.precision, *times)
+    Console().print(table)

@@ -70,7 +70,9 @@ class MobileStereoNet(VolumeModel):
     @classmethod
     def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
         """A guide is that of a coarse pass, see `StereoModel`."""
-        return {"coarse_pass": config.dims == 3 and "guide.weight" in names}
+        if config.dims == 3 and "guide.weight" in names:
+            return {"coarse_pass": True}
+        return {"coarse_pass": False, "band": 0}
 
     @classmethod
     def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
