@@ -1,7 +1,7 @@
 """Does a network prefer some sub-pixel phases? Its disparities modulo 4 px, and their errors.
 
     python benchmarks/phases.py [--root DIR] [--scenes 16] [--weights FILE ...] [--precision bf16]
-        [--picture phases.png]
+        [--no-refine] [--picture phases.png]
 
 Networks score every fourth disparity. Of the pixels whose disparity is within 1.5 px of the truth,
 the histogram of the disparity modulo 4 px (even: 6.25 % in each quarter-pixel bin) and the median
@@ -117,6 +117,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=16, help="procedural scenes")
     parser.add_argument("--models", nargs="*", help="only these of the models")
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
+    parser.add_argument("--no-refine", action="store_true", help="the networks' own disparity")
     parser.add_argument("--precision", default="fp32", help="the networks': fp32, bf16")
     parser.add_argument("--picture", type=Path, default=Path("phases.png"))
     arguments = parser.parse_args()
@@ -129,6 +130,8 @@ def main() -> None:
     for model, matcher in matchers(arguments.weights, arguments.precision).items():
         if arguments.models and model not in arguments.models:
             continue
+        if arguments.no_refine:
+            matcher = StereoMatcher(matcher.engine, name=model)
         found |= {f"{model}, {group}": phases_of(matcher, groups[group]) for group in groups}
     table = Table("from, px", *found, title="Share of the pixels, and median error in px")
     for index in range(round(PLANES_PX / BIN_PX)):

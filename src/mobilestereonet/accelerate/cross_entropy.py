@@ -61,11 +61,13 @@ def _cross_entropy(scores: Tensor, centres: Tensor, shares: Tensor) -> tuple[Ten
     loss, derivative = torch.empty_like(scores[:, 0]), torch.empty_like(scores)
     table = laplacians(scores.shape[1], scores)
     step = cached_rows(scores)
-    maps = (scores.split(step, 2), centres.split(step, 2), shares.split(step, 2))
-    for *rows, values, slopes in zip(
-        *maps, loss.split(step, 1), derivative.split(step, 2), strict=True
-    ):
-        _loss_and_derivative(*rows, table, values, slopes)
+    blocks = zip(
+        *(map_.split(step, 2) for map_ in (scores, centres, shares, derivative)),
+        loss.split(step, 1),
+        strict=True,
+    )
+    for rows, where, share, slopes, values in blocks:
+        _loss_and_derivative(rows, _wanted(where, share, table), share.sum(dim=1), values, slopes)
     return loss, derivative
 
 
@@ -88,12 +90,11 @@ _cross_entropy.register_autograd(_backward, setup_context=_keep_derivative)
 
 
 def _loss_and_derivative(
-    scores: Tensor, centres: Tensor, shares: Tensor, table: Tensor, loss: Tensor, derivative: Tensor
+    scores: Tensor, wanted: Tensor, counted: Tensor, loss: Tensor, derivative: Tensor
 ) -> None:
     """Fill in the loss (B, H, W), and what each score (B, D, H, W) changes of it."""
     m = intervals(scores, "mean")
-    total, counted = m.total, shares.sum(dim=1)
-    wanted = _wanted(centres, shares, table)
+    total = m.total
     torch.sub(counted * (total.log() + m.peak), (wanted * scores).sum(dim=1), out=loss)
     # A fine term at o px from its interval's centre weighs the two planes 1/2 -+ o/4.
     even, odd = m.mass / 2, m.first / SCALE

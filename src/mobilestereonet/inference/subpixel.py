@@ -80,7 +80,8 @@ def _normalise_contrast(views: Tensor) -> Tensor:
         moments = moments.unfold(dim, CONTRAST_WINDOW_PX, 1).mean(dim=-1)
     mean, square = moments.split(1, dim=1)
     variance = (square - mean.square()).clamp(min=0)
-    return (grey - mean) / (variance + SENSOR_NOISE**2).sqrt()
+    normalised: Tensor = (grey - mean) / (variance + SENSOR_NOISE**2).sqrt()
+    return normalised
 
 
 def _row_gradient(image: Tensor) -> Tensor:
