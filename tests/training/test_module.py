@@ -72,6 +72,18 @@ def _same(a: dict, b: dict) -> bool:
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("target", ["planes", "disparity", "surfaces"])
+@pytest.mark.parametrize("full_heads", [1, None])
+def test_every_target_of_the_cross_entropy_trains_all_heads(target, full_heads):
+    recipe = replace(RECIPE, cross_entropy_target=target, full_heads=full_heads)
+    module, recorder = _fit([_batch(1), _batch(2)], recipe)
+    first, second = (state for state, _ in recorder.states)
+    assert int(module.skipped) == 0
+    for name, _ in module.net.named_parameters():
+        assert not torch.equal(first[name], second[name]), name
+
+
+@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("spoil", [_without_truth, _out_of_range, _with_nan])
 def test_a_bad_batch_changes_nothing_and_is_counted(spoil):
     module, recorder = _fit([_batch(1), spoil(_batch(2)), spoil(_batch(3)), _batch(4)])

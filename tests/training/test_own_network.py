@@ -152,6 +152,14 @@ def test_heads_without_a_gradient_are_refused():
         Objective(Recipe(steps=1, **values), build_model("msnet2d"))
 
 
+def test_targets_between_planes_need_scores_with_a_closed_form():
+    for target in ("disparity", "surfaces"):
+        recipe = Recipe(steps=1, cross_entropy=1.0, cross_entropy_target=target)
+        Objective(recipe, build_model("psmnet"))
+        with pytest.raises(InputError, match=f"cross_entropy_target={target} is for .*=planes"):
+            Objective(recipe, build_model("psmnet", align_corners=True))
+
+
 def test_a_loss_of_the_users_own(files):
     net = build_model("table3a-v1-v1", max_disparity=32)
     left, right = torch.rand(2, 1, 3, 32, 48)

@@ -122,6 +122,7 @@ def test_override():
         ({"lr": 0}, "lr must be positive"),
         ({"clip": -1.0}, "clip must be positive"),
         ({"ema": 1.0}, "ema must be in"),
+        ({"cross_entropy_target": "line"}, "must be planes or disparity or surfaces, got 'line'"),
         ({"seed": -1}, "seed must be in"),
         ({"schedule": [[0.5, 1], [0.2, 1]]}, "shares that rise"),
         ({"schedule": [[0, 1], [1.5, 1]]}, "shares that rise"),

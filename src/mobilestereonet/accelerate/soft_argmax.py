@@ -113,7 +113,7 @@ def use_closed_form(net: nn.Module, *, in_rows: bool = True) -> None:
     )
 
 
-class _Intervals(NamedTuple):
+class Intervals(NamedTuple):
     """Sums over the four fine terms between neighbouring planes, before the softmax's division."""
 
     mass: Tensor  # (B, D - 1, H, W)
@@ -121,10 +121,17 @@ class _Intervals(NamedTuple):
     inner: Tensor  # sum of the two inner terms
     below: Tensor  # (B, H, W), the two fine terms below the first plane
     above: Tensor  # the two above the last plane
+    peak: Tensor  # (B, H, W), the score whose exponential all sums are over
     centres: Tensor  # (D - 1, 1, 1), in pixels
 
+    @property
+    def total(self) -> Tensor:
+        """The softmax's denominator, (B, H, W), over the peak's exponential."""
+        return self.mass.sum(dim=1) + self.below + self.above
 
-def _intervals(scores: Tensor, estimator: Estimator) -> _Intervals:
+
+def intervals(scores: Tensor, estimator: Estimator) -> Intervals:
+    """Sums over the fine terms of scores (B, D, H, W), as `closed_form` takes them."""
     low, high = scores[:, :-1], scores[:, 1:]
     rise = high - low
     gap = rise.abs()
@@ -145,12 +152,12 @@ def _intervals(scores: Tensor, estimator: Estimator) -> _Intervals:
         between = keep[:, 1:-1]
         mass, first, inner = mass * between, first * between, inner * between
         below, above = below * keep[:, 0], above * keep[:, -1]
-    return _Intervals(mass, first, inner, below, above, centres)
+    return Intervals(mass, first, inner, below, above, peak[:, 0], centres)
 
 
-def _expectation(m: _Intervals, planes: int) -> tuple[Tensor, Tensor]:
+def _expectation(m: Intervals, planes: int) -> tuple[Tensor, Tensor]:
     """Expected disparity and the softmax's denominator, each (B, H, W)."""
-    total = m.mass.sum(dim=1) + m.below + m.above
+    total = m.total
     moment = (m.centres * m.mass + m.first).sum(dim=1)
     ends = 0.5 * m.below + (SCALE * planes - 1.5) * m.above
     return (moment + ends) / total, total
@@ -168,7 +175,7 @@ def closed_form(scores: Tensor, estimator: Estimator) -> Tensor:
     Returns:
         Disparity (B, H, W) in pixels.
     """
-    return _expectation(_intervals(scores, estimator), scores.shape[1])[0]
+    return _expectation(intervals(scores, estimator), scores.shape[1])[0]
 
 
 def upsample(scores: Tensor) -> Tensor:
@@ -185,11 +192,12 @@ def _by_rows(scores: Tensor, estimator: Estimator) -> Iterator[Tensor]:
         first = max(top - 1, 0)
         fine = upsample(scores[:, :, first : bottom + 1])
         fine = fine[:, :, SCALE * (top - first) : SCALE * (bottom - first)]
-        for rows in fine.split(_cached_rows(fine), dim=2):
+        for rows in fine.split(cached_rows(fine), dim=2):
             yield closed_form(rows, estimator)
 
 
-def _cached_rows(scores: Tensor) -> int:
+def cached_rows(scores: Tensor) -> int:
+    """Rows of scores (B, D, H, W) whose temporaries stay in a CPU's cache; all on a GPU."""
     if scores.is_cuda:
         return scores.shape[2]
     return max(1, _CACHED_ELEMENTS // (scores.shape[1] * scores.shape[3]))
@@ -204,7 +212,7 @@ def _soft_argmax(scores: Tensor, mode: bool) -> tuple[Tensor, Tensor]:
     """
     disparity = torch.empty_like(scores[:, 0])
     derivative = torch.empty_like(scores)
-    step = _cached_rows(scores)
+    step = cached_rows(scores)
     blocks = zip(
         scores.split(step, 2), disparity.split(step, 1), derivative.split(step, 2), strict=True
     )
@@ -239,7 +247,7 @@ def _disparity_and_derivative(
     scores: Tensor, estimator: Estimator, disparity: Tensor, derivative: Tensor
 ) -> None:
     """Fill in the disparity (B, H, W), and what each score (B, D, H, W) changes of it."""
-    m = _intervals(scores, estimator)
+    m = intervals(scores, estimator)
     found, total = _expectation(m, scores.shape[1])
     disparity.copy_(found)
     scale = 0.5 / total.unsqueeze(1)

@@ -99,8 +99,8 @@ Refine: TypeAlias = Annotated[
     bool | None,
     typer.Option(
         "--refine/--no-refine",
-        help="Image-guided refinement of occlusions and edges. Default: with this package's "
-        "weights, not with the authors'.",
+        help="Image-guided refinement of occlusions, edges and fractions of a pixel. Default: with "
+        "this package's weights, not with the authors'.",
         show_default=False,
     ),
 ]

@@ -85,9 +85,10 @@ class StereoMatcher:
             confidence: Results have a confidence, at no cost.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.
-            refine: Refine the disparity by the colours of the view, see `inference.refine`, for
-                some percent more time. By default where the network's estimator is "mode", as it
-                is with this package's weights, and not with the authors'.
+            refine: Refine the disparity by the views, see `inference.refine` and
+                `inference.subpixel`, for some percent more time. By default where the network's
+                estimator is "mode", as it is with this package's weights, and not with the
+                authors'.
             scale: Factor in 0.25..1 of height and width in which a pair is matched: 0.75 takes
                 about half of the time; the result has the size of the views.
 

@@ -20,6 +20,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.pair import StereoPair
 from mobilestereonet.inference.refine import refine_disparity
+from mobilestereonet.inference.subpixel import fit_subpixel
 from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS, TILE_SIZE, match_in_tiles
 from mobilestereonet.nets.model import Prediction
 
@@ -49,7 +50,8 @@ def predict_disparity(
         padding: Size to which views are padded with zeros; None repeats their border up to the
             next size that the engine takes.
         tile: Size of the tiles.
-        refine: Refine the disparity, see `refine_disparity`; the engine must have a confidence.
+        refine: Refine the disparity, see `refine_disparity` and `fit_subpixel`; the engine must
+            have a confidence.
         confidence: Predict the confidence as well, where the engine has one.
 
     Returns:
@@ -83,6 +85,7 @@ def predict_disparity(
     if refine:
         with use_threads(engine.threads):
             disparity = refine_disparity(disparity, more[0], left)
+            disparity = fit_subpixel(disparity, left, right)
     return Prediction(disparity, more[0] if confidence and more else None)
 
 

@@ -42,7 +42,7 @@ class RunInfo:
         engine: Name of the engine that ran it.
         precision: Precision that it computed in, such as ``fp32`` or ``bf16``.
         device: Device that it ran on, such as ``cpu``.
-        refined: Whether the disparity was refined, see `mobilestereonet.inference.refine`.
+        refined: Whether the disparity was refined, see `mobilestereonet.inference.predict`.
         width: Width of the views in px.
         height: Height of the views in px.
         seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.

@@ -8,8 +8,20 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from mobilestereonet.accelerate.cross_entropy import disparity_cross_entropy
+from mobilestereonet.accelerate.soft_argmax import SCALE, upsample
+
 AGREEMENT_PX = 8.0
 """Disparities of a network and its teacher that differ by less mean the same surface."""
+
+SURFACE_PX = 3.0
+"""Disparities in a row's neighbourhood that differ by more belong to another surface."""
+
+NEIGHBOURS_PX = 4
+"""Pixels to either side of one that may belong to another surface."""
+
+OWN_SHARE = 0.8
+"""Share of a pixel's own surface where all of its neighbours belong to others."""
 
 
 def cross_entropy_sum(
@@ -51,6 +63,88 @@ def cross_entropy_sum(
         loss = -((1 - share) * low + share * high)
         total = total + weight * torch.where(mask, loss, 0).sum()
     return scale**2 * total
+
+
+def fine_cross_entropy_sum(
+    scores: Sequence[Tensor],
+    weights: Sequence[float],
+    centres: Tensor,
+    shares: Tensor,
+    *,
+    full_heads: int,
+) -> Tensor:
+    """Cross entropy of the upsampled scores against narrow Laplacians, in closed form.
+
+    `cross_entropy_sum` wants the two planes beside a disparity to share the probability in
+    proportion, after which the expectation over upsampled scores is another disparity: answers
+    lean towards some fractions. Here the lowest loss has the right expectation.
+
+    Args:
+        scores: Matching scores (B, D, H / 4, W / 4) per head.
+        weights: Weight of each head.
+        centres: Disparities (B, M, H, W) in px at full resolution, see `surfaces`.
+        shares: Share of each of these, likewise.
+        full_heads: Heads, counted from the last, whose scores are upsampled in height and width;
+            the others' are compared with every fourth pixel.
+
+    Returns:
+        Sum over full-resolution pixels and heads; every fourth pixel counts as 16.
+    """
+    middle = slice(SCALE // 2, None, SCALE)
+    coarse = centres[..., middle, middle], shares[..., middle, middle]
+    total = shares.new_zeros(())
+    for index, (weight, score) in enumerate(zip(weights, scores, strict=True)):
+        score = score.to(centres.dtype)
+        if index < len(scores) - full_heads:
+            loss = SCALE**2 * disparity_cross_entropy(score, *coarse).sum()
+        else:
+            loss = disparity_cross_entropy(upsample(score), centres, shares).sum()
+        total = total + weight * loss
+    return total
+
+
+def own_surface(disparity: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Each pixel's ground truth as the only mode of a distribution.
+
+    Args:
+        disparity: Ground truth (B, H, W) in px.
+        mask: Pixels that count, (B, H, W) bool.
+
+    Returns:
+        Disparities and their shares, (B, 1, H, W) each; a share is 0 where a pixel does not count.
+    """
+    return torch.where(mask, disparity, 0).unsqueeze(1), mask.to(disparity.dtype).unsqueeze(1)
+
+
+def surfaces(disparity: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Modes of the ground truth around each pixel: its own, a farther and a nearer surface.
+
+    At edges a network cannot tell on which side a pixel lies, and a target of one mode makes it
+    spread its probability over what lies between. A target of several tells which surfaces there
+    are (Xu et al., "Adaptive Multi-Modal Cross-Entropy Loss for Stereo Matching", CVPR 2024, who
+    cluster the 1 x 9 neighbourhood; here what is farther, and what is nearer, is one cluster each).
+
+    Args:
+        disparity: Ground truth (B, H, W) in px.
+        mask: Pixels that count, (B, H, W) bool.
+
+    Returns:
+        Disparities and their shares, (B, 3, H, W) each, own, farther, nearer; a surface that is
+        not there has no share, nor has a pixel that does not count.
+    """
+    own, counted = own_surface(disparity, mask)
+    around = [
+        F.pad(map_, (NEIGHBOURS_PX,) * 2).unfold(-1, 2 * NEIGHBOURS_PX + 1, 1)
+        for map_ in (own, counted)
+    ]
+    rise = around[0] - own.unsqueeze(-1)  # (B, 1, H, W, 9)
+    centres, shares = [own], []
+    for other in (rise < -SURFACE_PX, rise > SURFACE_PX):
+        there = other * around[1] * counted.unsqueeze(-1)
+        pixels = there.sum(dim=-1)
+        centres.append((there * around[0]).sum(dim=-1) / pixels.clamp_min(1))
+        shares.append((1 - OWN_SHARE) / (2 * NEIGHBOURS_PX) * pixels)
+    return torch.cat(centres, dim=1), torch.cat((counted - sum(shares), *shares), dim=1)
 
 
 def distillation_sum(

@@ -10,11 +10,18 @@ from typing import Any, NamedTuple, TypeAlias
 import torch
 from torch import Tensor
 
+from mobilestereonet.accelerate.soft_argmax import has_closed_form
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel, trained_pixels
 from mobilestereonet.nets.registry import import_from_file
-from mobilestereonet.training.losses import cross_entropy_sum, distillation_sum
+from mobilestereonet.training.losses import (
+    cross_entropy_sum,
+    distillation_sum,
+    fine_cross_entropy_sum,
+    own_surface,
+    surfaces,
+)
 from mobilestereonet.training.recipe import MODEL_LOSS, Recipe
 
 LossFunction: TypeAlias = Callable[[Any, Tensor, Tensor], Tensor]
@@ -122,8 +129,7 @@ class Objective:
         figures: dict[str, Tensor] = {}
         scale = net.regression.scale
         if self.recipe.cross_entropy:
-            weights = net.weights_of(outputs.scores)
-            loss = cross_entropy_sum(outputs.scores, weights, disparity, mask, scale=scale)
+            loss = self._cross_entropy(net, outputs.scores, disparity, mask)
             total = total + self.recipe.cross_entropy * loss
         volume = outputs.volume
         if self.recipe.volume_cross_entropy and volume is not None and volume.shape[1] == 1:
@@ -131,6 +137,18 @@ class Objective:
             figures["volume_loss"] = loss.detach() / mask.sum().clamp_min(1)
             total = total + self.recipe.volume_cross_entropy * loss
         return total, figures
+
+    def _cross_entropy(
+        self, net: VolumeModel, scores: list[Tensor], disparity: Tensor, mask: Tensor
+    ) -> Tensor:
+        weights = net.weights_of(scores)
+        if self.recipe.cross_entropy_target == "planes":
+            return cross_entropy_sum(scores, weights, disparity, mask, scale=net.regression.scale)
+        modes = surfaces if self.recipe.cross_entropy_target == "surfaces" else own_surface
+        full_heads = self.recipe.full_heads or len(scores)
+        return fine_cross_entropy_sum(
+            scores, weights, *modes(disparity, mask), full_heads=full_heads
+        )
 
 
 def volume_loss_sum(volume: Tensor, disparity: Tensor, mask: Tensor, *, scale: int = 4) -> Tensor:
@@ -164,6 +182,13 @@ def _check_heads(recipe: Recipe, net: StereoModel) -> None:
                 f"need matching scores: {values}, or --recipe procedural-plain"
             )
         return
+    target = recipe.cross_entropy_target
+    if recipe.cross_entropy and target != "planes" and not has_closed_form(net.regression):
+        raise InputError(
+            f"recipe: cross_entropy_target={target} is for scores at a quarter of the resolution "
+            f"with half-pixel centres, not for those of {recipe.model}: "
+            "--set cross_entropy_target=planes"
+        )
     heads = len(net.head_weights)
     if recipe.full_heads and recipe.full_heads < heads and not recipe.cross_entropy:
         raise InputError(

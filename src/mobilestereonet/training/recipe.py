@@ -29,6 +29,8 @@ MODEL_LOSS = "model"
 RECIPE_FILES = sorted(Path(__file__).with_name("recipes").glob("*.yaml"))
 """The named recipes as commented files."""
 
+CROSS_ENTROPY_TARGETS = ("planes", "disparity", "surfaces")
+
 _LOCATIONS = {"root", "textures"}
 """Recipe values that locate the data; they do not change what is trained."""
 
@@ -75,6 +77,11 @@ class Recipe:
             ``teacher``.
         cross_entropy: Weight of the coarse cross entropy of all heads beside the smooth L1, against
             the ground truth and against a teacher.
+        cross_entropy_target: What the cross entropy wants against the ground truth: "planes", the
+            two coarse planes beside the disparity in proportion; "disparity", a narrow Laplacian
+            around it over all disparities between the planes, too, which leaves no fraction of a
+            pixel preferred; or "surfaces", the same with more than one at edges (see
+            `training.losses`). Of the last two the heads of ``full_heads`` learn at every pixel.
         val_every: Steps between two validations; a run of fewer validates after its last.
         save_every: Steps between two checkpoints.
         volume_cross_entropy: Weight of the same cross entropy taken straight from a learned cost
@@ -111,6 +118,7 @@ class Recipe:
     loss: str = MODEL_LOSS
     full_heads: int | None = None
     cross_entropy: float = 0.0
+    cross_entropy_target: str = "planes"
     val_every: int = 1000
     save_every: int = 250
     volume_cross_entropy: float = 0.0
@@ -132,6 +140,11 @@ class Recipe:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
         if self.optimizer not in ("adam", "muon"):
             raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
+        if self.cross_entropy_target not in CROSS_ENTROPY_TARGETS:
+            raise InputError(
+                f"recipe: cross_entropy_target must be {' or '.join(CROSS_ENTROPY_TARGETS)}, got "
+                f"{self.cross_entropy_target!r}"
+            )
         if self.teacher is not None and not self.cross_entropy > 0:
             raise InputError(
                 "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
