@@ -87,7 +87,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
     before = tree(folder)
     code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
     assert code == 0
-    assert re.match("msnet3d on torch (fp32|bf16), 40x20: ", out)
+    assert re.match(r"balanced \(msnet3d[\w-]*\) on torch (fp32|bf16), 40x20: ", out)
     for line in out.splitlines()[1:]:
         assert line.startswith(str(folder / "left_"))
     after = tree(folder)
@@ -168,13 +168,14 @@ def test_demo_scores_the_motorcycle(msnet, tmp_path):
     assert picture.shape[1] > 2 * 741
 
 
-def test_demo_tells_the_time_of_both_models(msnet, tmp_path, weights, monkeypatch):
+def test_demo_tells_the_time_of_two_levels(msnet, tmp_path, weights, monkeypatch):
     monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
     code, out, _ = msnet("demo", "-o", tmp_path, "--threads", 1)
     assert code == 0
-    assert re.match("Middlebury's Motorcycle, msnet3d on torch (fp32|bf16), 741x500\n", out)
+    network = r"balanced \(msnet3d[\w-]*\) on torch (fp32|bf16)"
+    assert re.match(rf"Middlebury's Motorcycle, {network}, 741x500\n", out)
     assert re.search(r"\nTime \d+\.\d\d s \(first run, warm-up included\)\n", out)
-    assert re.search(r"\nThe faster model, --model msnet2d: \d+\.\d\d s, EPE \d+", out)
+    assert re.search(r"\nWith --quality fast: \d+\.\d\d s, EPE \d+", out)
 
 
 @pytest.mark.parametrize("faster", [True, False])

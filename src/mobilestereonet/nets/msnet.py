@@ -72,7 +72,7 @@ class MobileStereoNet(VolumeModel):
         """A guide is that of a coarse pass, see `StereoModel`."""
         if config.dims == 3 and "guide.weight" in names:
             return {"coarse_pass": True}
-        return {"coarse_pass": False, "band": 0}
+        return {"coarse_pass": False, "coarse_hourglasses": 0, "band": 0}
 
     @classmethod
     def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
