@@ -15,6 +15,7 @@ from mobilestereonet.evaluation.evaluate import (
     save_evaluations,
 )
 from mobilestereonet.evaluation.matching import DisparityFn
+from mobilestereonet.evaluation.report import legend
 from mobilestereonet.evaluation.sparsification import (
     Sparsification,
     plot_sparsification,
@@ -33,6 +34,7 @@ __all__ = [
     "authors_protocol",
     "check_submission",
     "evaluate",
+    "legend",
     "open_benchmark",
     "plan_submission",
     "plot_sparsification",
