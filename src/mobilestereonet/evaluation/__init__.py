@@ -15,6 +15,7 @@ from mobilestereonet.evaluation.evaluate import (
     save_evaluations,
 )
 from mobilestereonet.evaluation.matching import DisparityFn
+from mobilestereonet.evaluation.pareto import ParetoPoint, pareto_front, plot_pareto
 from mobilestereonet.evaluation.report import legend
 from mobilestereonet.evaluation.sparsification import (
     Sparsification,
@@ -29,6 +30,7 @@ __all__ = [
     "DisparityFn",
     "Evaluation",
     "EvaluationProtocol",
+    "ParetoPoint",
     "Sparsification",
     "Submission",
     "authors_protocol",
@@ -36,7 +38,9 @@ __all__ = [
     "evaluate",
     "legend",
     "open_benchmark",
+    "pareto_front",
     "plan_submission",
+    "plot_pareto",
     "plot_sparsification",
     "save_evaluations",
     "sparsification",
