@@ -72,7 +72,7 @@ class StereoScores:
     pairs: list[PairColumns]
 
     @property
-    def listed(self) -> list[str]:
+    def listed_masks(self) -> list[str]:
         """Masks that reports list, in order: those of the data, ``all`` and ``noc`` always."""
         return _listed(self.masks)
 
@@ -102,7 +102,7 @@ class StereoScores:
         """
         row: PairColumns = {}
         nothing: PairColumns = dict.fromkeys(self.masks["all"].per_image)
-        for mask in self.listed:
+        for mask in self.listed_masks:
             own = self.masks.get(mask)
             for figure in nothing:
                 for statistic, attribute in _STATISTICS.items():

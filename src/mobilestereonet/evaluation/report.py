@@ -25,7 +25,7 @@ _MASK_WORDS = {
 
 def legend(scores: StereoScores) -> str:
     """What the rows and columns of `scores_table` mean, and which pixels were scored."""
-    given = [_MASK_WORDS[mask] for mask in scores.listed]
+    given = [_MASK_WORDS[mask] for mask in scores.listed_masks]
     text = (
         f"Pixels with ground truth 0 < d < {scores.max_disparity:g}; masks: {', '.join(given)}; a "
         "dash: the data does not know it. EPE: mean error; bad-t: share of errors above t px; D1: "
@@ -66,7 +66,7 @@ def scores_table(scores: StereoScores, title: str, with_legend: bool = True) -> 
     ]
     for name in hidden:
         table.add_column(name, justify="right")
-    for mask in scores.listed:
+    for mask in scores.listed_masks:
         own = scores.masks.get(mask)
         if own is None:
             table.add_row(mask, *[""], *["-"] * (len(figures) + 3 + len(hidden)))
