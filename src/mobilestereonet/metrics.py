@@ -1,65 +1,80 @@
-"""EPE, px-n and D1 over masks, kept as sums: batches, order and ranks do not matter."""
+"""EPE, bad-t and D1 over masks: the columns by which stereo benchmarks compare matchers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 
 MASKS = ("all", "noc", "occ", "fg", "bg")
-_MASK_WORDS = {
-    "all": "all of them",
-    "noc": "noc (not occluded)",
-    "occ": "occ (occluded)",
-    "fg": "fg (foreground)",
-    "bg": "bg (background)",
-}
+"""Every pixel with ground truth; those that are not occluded, occluded, foreground, background."""
+
+_STATISTICS = {"mean": "per_image", "median": "median", "per_pixel": "per_pixel"}
+"""Ends of column names, and the attributes of `MaskScores` that they show."""
+
+PairColumns = dict[str, float | int | None]
+"""Columns of one pair, see `StereoScores`. None is unknown, or a mean over no pixel."""
 
 
 @dataclass(frozen=True)
 class MaskScores:
-    """Error figures over the pixels of one mask.
+    """Error figures over the pixels of one mask: ``epe`` in px, ``d1`` and ``bad1`` ... in percent.
+
+    A figure is None where no image has a pixel to score.
 
     Attributes:
-        per_image: Mean over the images of each image's own mean (the paper's figure): ``epe`` in
-            px, ``d1`` and ``px-n`` in percent. None where no image has a pixel to score.
-        per_pixel: The same figures as means over all pixels of all images.
+        per_image: Mean over the images of each image's own mean (the paper's figure).
+        median: Median over the images of each image's own mean.
+        per_pixel: Mean over all pixels of all images.
         images: Images that were scored.
         empty: Images without a pixel to score; they are in no mean.
         skipped: Images that ``min_share`` left out; they are in no mean.
         pixels: Pixels that were scored.
+        gt_density: Share of the frames' pixels that was scored, in percent: the density of the
+            ground truth, not of the predictions, which are dense. None without an image that has
+            the mask.
     """
 
     per_image: dict[str, float | None]
+    median: dict[str, float | None]
     per_pixel: dict[str, float | None]
     images: int
     empty: int
     skipped: int
     pixels: int
+    gt_density: float | None
 
 
 @dataclass(frozen=True)
 class StereoScores:
-    """Result of `StereoMetrics`: the figures of each mask; prints as a table.
+    """Result of `StereoMetrics`: the figures of each mask, and of each pair.
 
     Attributes:
         max_disparity: Pixels count whose ground truth lies in ``0 < d < max_disparity``, in px.
         min_share: See `StereoMetrics`.
         masks: The figures of each mask that the data has; ``all`` is always there.
+        pairs: Columns of each pair, in the order in which they were added (over ranks: one rank
+            after the other). Names are ``FIGURE_MASK``, such as ``epe_all``, ``d1_noc``,
+            ``bad1_noc``, and ``pixels_MASK``, ``gt_density_MASK``.
     """
 
     max_disparity: float
     min_share: float
     masks: dict[str, MaskScores]
+    pairs: list[PairColumns]
+
+    @property
+    def listed_masks(self) -> list[str]:
+        """Masks that reports list, in order: those of the data, ``all`` and ``noc`` always."""
+        return _listed(self.masks)
 
     def figures(self, prefix: str = "") -> dict[str, float]:
         """Per-image means by name, for a logger: ``epe``, ``d1``, ... and ``noc/epe``, ...
@@ -77,6 +92,26 @@ class StereoScores:
             if value is not None
         }
 
+    def columns(self) -> PairColumns:
+        """Figures of all pairs together, in one row.
+
+        Returns:
+            ``FIGURE_MASK_mean`` and ``FIGURE_MASK_median`` over the pairs, and
+            ``FIGURE_MASK_per_pixel``; ``images_MASK``, ``pixels_MASK`` and ``gt_density_MASK``.
+            The columns of ``noc`` are always there, None where the data does not know it.
+        """
+        row: PairColumns = {}
+        nothing: PairColumns = dict.fromkeys(self.masks["all"].per_image)
+        for mask in self.listed_masks:
+            own = self.masks.get(mask)
+            for figure in nothing:
+                for statistic, attribute in _STATISTICS.items():
+                    values = nothing if own is None else getattr(own, attribute)
+                    row[f"{figure}_{mask}_{statistic}"] = values[figure]
+            for count in ("images", "pixels", "gt_density"):
+                row[f"{count}_{mask}"] = None if own is None else getattr(own, count)
+        return row
+
     def to_dict(self) -> dict[str, Any]:
         """Plain dicts, ready for JSON (an infinite range becomes None)."""
         record = asdict(self)
@@ -84,66 +119,40 @@ class StereoScores:
             record["max_disparity"] = None
         return record
 
-    def legend(self) -> str:
-        """What the table's rows and columns mean, and which pixels were scored."""
-        given = [text for mask, text in _MASK_WORDS.items() if mask in self.masks]
-        text = (
-            f"Pixels with ground truth 0 < d < {self.max_disparity:g}; masks: {', '.join(given)}. "
-            "EPE: mean error; px-n: share of errors above n px; D1: above 3 px and 5 %. "
-            "Per image: mean over the images of each image's mean (the paper's). Per pixel: mean "
-            "over all pixels. Empty: images without such a pixel. Skipped: "
-        )
-        if self.min_share > 0:
-            return text + (
-                f"images where fewer than {100 * self.min_share:g} % of the pixels with ground "
-                "truth are in that range."
-            )
-        return text + "images that the authors' rule leaves out, none without it."
 
-    def table(self, title: str | None = None, legend: bool = True) -> Table:
-        """Table of `rich` with one row per mask and figure.
+class _Images(NamedTuple):
+    """What all figures follow from, for N images, on the CPU.
 
-        Args:
-            title: Its title.
-            legend: With the `legend` below it.
-        """
-        caption = self.legend() if legend else None
-        table = Table(title=title, caption=caption, caption_justify="left")
-        table.add_column("mask")
-        table.add_column("figure")
-        for name in ("per image", "per pixel", "images", "empty", "skipped", "pixels"):
-            table.add_column(name, justify="right")
-        for mask, scores in self.masks.items():
-            counts = [scores.images, scores.empty, scores.skipped, scores.pixels]
-            head, tail = mask, [f"{count:,}" for count in counts]
-            for figure, value in scores.per_image.items():
-                pair = (value, scores.per_pixel[figure])
-                cells = ["-" if mean is None else f"{mean:.3f}" for mean in pair]
-                table.add_row(head, _label(figure), *cells, *tail)
-                head, tail = "", []
-            table.add_section()
-        return table
+    Attributes:
+        sums: Sum of each figure over each mask, (N, masks, figures) float64.
+        pixels: Pixels of each mask, (N, masks); -1 where an image has no such map.
+        frame: Pixels of the frame, (N,).
+        skipped: True where ``min_share`` leaves the image out, (N,).
+    """
 
-    def __rich__(self) -> Table:
-        return self.table()
-
-    def __str__(self) -> str:
-        console = Console(width=100)
-        with console.capture() as capture:
-            console.print(self.table())
-        return capture.get().rstrip()
+    sums: Tensor
+    pixels: Tensor
+    frame: Tensor
+    skipped: Tensor
 
 
 class StereoMetrics:
-    """Metric of stereo matching: EPE, D1 and px-n over the masks all, noc, occ, fg and bg.
+    """Metric of stereo matching: EPE, D1 and bad-t over the masks all, noc, occ, fg and bg.
 
-    EPE is the mean absolute disparity error in px; px-n the share of the pixels whose error is
-    above n px; D1 the share whose error is above 3 px and above 5 % of the ground truth; shares
-    are in percent. The masks noc and occ need ``occluded``, fg and bg need ``foreground``; an
-    image without that map is not counted in them. This is the paper's protocol where
-    ``per_image`` is read; ``min_share=0.1`` adds the rule of the authors' release.
+    With the error ``e = |prediction - truth|`` of a pixel, over the pixels of a mask:
 
-    All states are sums over images, so they add up over batches and ranks.
+    - ``epe``: mean of e in px (Middlebury's "avgerr").
+    - ``bad1``, ``bad2``, ...: share of pixels with e > t px, in percent ("bad-t" of Middlebury's
+      evaluation, Scharstein and Szeliski, IJCV 2002, section 5.1; the paper's "px-3" is bad-3).
+    - ``d1``: share of pixels with e > 3 px and e > 5 % of the truth, in percent ("D1" of KITTI
+      2015, Menze and Geiger, CVPR 2015).
+
+    A benchmark that ranks by non-occluded pixels is compared with ``noc``. The masks noc and occ
+    need ``occluded``, fg and bg need ``foreground``; an image without that map is not counted in
+    them. This is the paper's protocol where ``per_image`` is read; ``min_share=0.1`` adds the
+    rule of the authors' release.
+
+    The states are sums of each image, so that batches, order and ranks do not matter.
     """
 
     def __init__(
@@ -152,12 +161,12 @@ class StereoMetrics:
         thresholds: Sequence[float] = (1, 2, 3),
         min_share: float = 0.0,
     ) -> None:
-        """Initialise with all sums at zero.
+        """Initialise without an image.
 
         Args:
             max_disparity: Ground truth in ``0 < d < max_disparity`` is scored, in px; ``inf``
                 scores all of it.
-            thresholds: The n of px-n, in px.
+            thresholds: The t of bad-t, in px.
             min_share: Skip and count an image where less than this share of the pixels with
                 ground truth is in that range (the authors' release: 0.1).
 
@@ -173,15 +182,14 @@ class StereoMetrics:
         self.max_disparity = float(max_disparity)
         self.min_share = float(min_share)
         self.thresholds = tuple(thresholds)
-        self.names = ("epe", "d1", *(f"px-{threshold:g}" for threshold in self.thresholds))
+        self.names = ("epe", "d1", *(f"bad{threshold:g}" for threshold in self.thresholds))
         self.reset()
 
     def reset(self) -> None:
-        """Set all sums to zero."""
-        self.image_sums = torch.zeros(len(MASKS), len(self.names), dtype=torch.float64)
-        self.pixel_sums = torch.zeros_like(self.image_sums)
-        zeros = torch.zeros(len(MASKS), dtype=torch.int64)
-        self.images, self.empty, self.skipped, self.pixels = (zeros.clone() for _ in range(4))
+        """Forget all images."""
+        none = torch.zeros(0, len(MASKS), len(self.names), dtype=torch.float64)
+        counts = torch.zeros(0, len(MASKS), dtype=torch.int64)
+        self._batches = [_Images(none, counts, counts[:, 0], counts[:, 0].bool())]
 
     def update(self, prediction: Tensor, batch: StereoSample) -> None:
         """Add a batch of predictions.
@@ -205,62 +213,85 @@ class StereoMetrics:
         figures = self._pixel_figures(prediction.float(), truth.float())
         scored = valid & (truth > 0) & (truth < self.max_disparity)
         skipped = scored.sum((1, 2)) < self.min_share * valid.sum((1, 2))
+        count = len(prediction)
+        sums = torch.zeros(count, len(MASKS), len(self.names), dtype=torch.float64)
+        pixels = torch.full((count, len(MASKS)), -1)
         for index, mask in _masks(scored, batch):
-            pixels = torch.where(skipped, 0, mask.sum((1, 2)))
-            sums = torch.stack([_masked_sum(figure, mask) for figure in figures], dim=1)
-            counted = pixels > 0
-            sums = torch.where(counted[:, None], sums, 0)
-            means = sums / pixels.clamp_min(1)[:, None]
-            for state, value in (
-                (self.image_sums, means.sum(0)),
-                (self.pixel_sums, sums.sum(0)),
-                (self.images, counted.sum()),
-                (self.empty, (~counted & ~skipped).sum()),
-                (self.skipped, skipped.sum()),
-                (self.pixels, pixels.sum()),
-            ):
-                state[index] += value.to(state.device)
+            own = [torch.where(mask, figure, 0.0) for figure in figures]
+            sums[:, index] = torch.stack([f.sum((1, 2), dtype=torch.float64) for f in own], 1).cpu()
+            pixels[:, index] = mask.sum((1, 2)).cpu()
+        frame = torch.full((count,), truth[0].numel())
+        self._batches.append(_Images(sums, pixels, frame, skipped.cpu()))
 
     def compute(self) -> StereoScores:
         """Figures of everything added, over all ranks."""
-        image_sums, pixel_sums = _over_ranks(self.image_sums), _over_ranks(self.pixel_sums)
-        states = (self.images, self.empty, self.skipped, self.pixels)
-        counts = torch.stack([_over_ranks(state) for state in states], dim=1).tolist()
-        masks = {}
-        for index, name in enumerate(MASKS):
-            images, empty, skipped, pixels = counts[index]
-            if name == "all" or any(counts[index]):
-                masks[name] = MaskScores(
-                    self._means(image_sums[index], images),
-                    self._means(pixel_sums[index], pixels),
-                    images,
-                    empty,
-                    skipped,
-                    pixels,
-                )
-        return StereoScores(self.max_disparity, self.min_share, masks)
+        batches = _over_ranks(self._batches)
+        images = _Images(*(torch.cat(parts) for parts in zip(*batches, strict=True)))
+        masks = {
+            name: self._mask_scores(images, index)
+            for index, name in enumerate(MASKS)
+            if name == "all" or (images.pixels[:, index] >= 0).any()
+        }
+        listed = _listed(masks)
+        pairs = [self._pair(images, row, listed) for row in range(len(images.frame))]
+        return StereoScores(self.max_disparity, self.min_share, masks, pairs)
+
+    def _mask_scores(self, images: _Images, mask: int) -> MaskScores:
+        pixels, sums = images.pixels[:, mask], images.sums[:, mask]
+        known = pixels >= 0
+        scored = (pixels > 0) & ~images.skipped
+        means = (sums[scored] / pixels[scored, None]).numpy()
+        total = int(pixels[scored].sum())
+        frames = int(images.frame[known & ~images.skipped].sum())
+        nothing: dict[str, float | None] = dict.fromkeys(self.names)
+        return MaskScores(
+            per_image=self._named(means.mean(0)) if total else nothing,
+            median=self._named(np.median(means, 0)) if total else nothing,
+            per_pixel=self._named(sums[scored].sum(0) / total) if total else nothing,
+            images=int(scored.sum()),
+            empty=int((known & ~scored & ~images.skipped).sum()),
+            skipped=int((known & images.skipped).sum()),
+            pixels=total,
+            gt_density=100 * total / frames if frames else None,
+        )
+
+    def _pair(self, images: _Images, row: int, masks: Sequence[str]) -> PairColumns:
+        """Columns of one image; an image that was skipped has none but empty ones."""
+        columns: PairColumns = {}
+        for name in masks:
+            index = MASKS.index(name)
+            pixels = -1 if images.skipped[row] else int(images.pixels[row, index])
+            means = images.sums[row, index] / max(pixels, 1)
+            for figure, mean in zip(self.names, means.tolist(), strict=True):
+                columns[f"{figure}_{name}"] = mean if pixels > 0 else None
+            columns[f"pixels_{name}"] = None if pixels < 0 else pixels
+            density = 100 * pixels / int(images.frame[row])
+            columns[f"gt_density_{name}"] = None if pixels < 0 else density
+        return columns
+
+    def _named(self, values: Any) -> dict[str, float | None]:
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     def _pixel_figures(self, prediction: Tensor, truth: Tensor) -> list[Tensor]:
         """Each figure at each pixel, (B, H, W), in the order of ``names``."""
         error = (prediction - truth).abs()
         # "not within" instead of "above": an error of NaN is an outlier, too.
         d1 = ~((error <= 3) | (error <= 0.05 * truth))
-        return [error, 100.0 * d1, *(100.0 * ~(error <= n) for n in self.thresholds)]
-
-    def _means(self, sums: Tensor, count: int) -> dict[str, float | None]:
-        values = [float(total) / count if count else None for total in sums]
-        return dict(zip(self.names, values, strict=True))
+        return [error, 100.0 * d1, *(100.0 * ~(error <= t) for t in self.thresholds)]
 
 
-def _over_ranks(state: Tensor) -> Tensor:
-    """Sum over all ranks of a distributed run; the state itself outside of one."""
+def _listed(masks: Container[str]) -> list[str]:
+    return [name for name in MASKS if name in masks or name in ("all", "noc")]
+
+
+def _over_ranks(batches: list[_Images]) -> list[_Images]:
+    """Batches of all ranks of a distributed run; one's own outside of one."""
     distributed = torch.distributed
     if not (distributed.is_available() and distributed.is_initialized()):
-        return state
-    # NCCL adds on GPUs alone.
-    total = state.cuda() if distributed.get_backend() == "nccl" else state.clone()
-    distributed.all_reduce(total)
-    return total.cpu()
+        return batches
+    parts: list[list[_Images]] = [[] for _ in range(distributed.get_world_size())]
+    distributed.all_gather_object(parts, batches)
+    return [batch for part in parts for batch in part]
 
 
 def _masks(scored: Tensor, batch: StereoSample) -> Iterator[tuple[int, Tensor]]:
@@ -279,12 +310,3 @@ def _masks(scored: Tensor, batch: StereoSample) -> Iterator[tuple[int, Tensor]]:
 def _beside(other: Tensor, values: Tensor) -> Tensor:
     """The values on the device of ``other``."""
     return values.to(other.device)
-
-
-def _masked_sum(figure: Tensor, mask: Tensor) -> Tensor:
-    """Sum of each image over its mask, (B,), in float64."""
-    return torch.where(mask, figure, 0.0).sum((1, 2), dtype=torch.float64)
-
-
-def _label(figure: str) -> str:
-    return {"epe": "EPE, px", "d1": "D1, %"}.get(figure, f"{figure}, %")

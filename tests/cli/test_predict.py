@@ -157,7 +157,7 @@ def test_demo_scores_the_motorcycle(msnet, tmp_path):
     known = np.isfinite(truth) & (truth > 0) & (truth < 192)
     error = np.abs(np.load(tmp_path / "motorcycle_disparity.npy") - truth)[known]
     d1 = 100 * np.mean((error > 3) & (error > 0.05 * truth[known]))
-    figures = f"EPE {error.mean():.3f} px, D1 {d1:.2f} %, px-3 {100 * np.mean(error > 3):.2f} %"
+    figures = f"EPE {error.mean():.3f} px, D1 {d1:.2f} %, bad-3 {100 * np.mean(error > 3):.2f} %"
     assert figures in out
     assert f"over {known.sum()} pixels" in out
     assert "faster" not in out

@@ -414,6 +414,12 @@ def test_calibrated_scenes(tmp_path, name, options, folder, truth_folder, truth_
     put_image(tmp_path / truth_folder / "mask0nocc.png", mask)
     torch.testing.assert_close(data[0].occluded, (columns < 2).expand(H, W))
 
+    # The benchmarks' non-occluded pixels are those of 255 alone.
+    mask[:, 4] = 0
+    put_image(tmp_path / truth_folder / "mask0nocc.png", mask)
+    hidden = ((columns < 2) | (columns == 4)).expand(H, W)
+    torch.testing.assert_close(data[0].occluded, hidden)
+
 
 @pytest.mark.parametrize(
     ("name", "folder", "count"),
@@ -545,11 +551,11 @@ def test_pairs_without_ground_truth_are_refused(tmp_path):
     assert pairs.frames[0].disparity == tmp_path / "training" / "disp_occ_0" / name
 
 
-def test_sizes_must_agree(tmp_path):
+@pytest.mark.parametrize(("folder", "map_"), [("occ", "disparity"), ("noc", "occluded")])
+def test_sizes_must_agree(tmp_path, folder, map_):
     name = put_kitti(tmp_path / "training", 7, 2015)
-    put_image(tmp_path / "training" / "disp_occ_0" / name, np.ones((H, W + 1), np.uint16))
-    (tmp_path / "training" / "disp_noc_0" / name).unlink()
-    with pytest.raises(InputError, match=f"left view is {W}x{H}, but disparity is {W + 1}x{H}"):
+    put_image(tmp_path / "training" / f"disp_{folder}_0" / name, np.ones((H, W + 1), np.uint16))
+    with pytest.raises(InputError, match=f"left view is {W}x{H}, but {map_} is {W + 1}x{H}"):
         KITTI2015(tmp_path)[0]
 
 

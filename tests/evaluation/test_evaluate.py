@@ -1,3 +1,4 @@
+import csv
 import dataclasses
 import json
 import math
@@ -6,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.evaluate import evaluate as run_command
@@ -53,7 +55,7 @@ def test_figures():
     scores = result.scores.masks["all"]
     assert scores.per_image["epe"] == pytest.approx(3.0, abs=1e-4)
     assert scores.per_pixel["epe"] == pytest.approx(10 / 3, abs=1e-4)  # 24 px of 2, 48 px of 4
-    assert (scores.per_image["px-1"], scores.per_image["px-3"]) == (100.0, 50.0)
+    assert (scores.per_image["bad1"], scores.per_image["bad3"]) == (100.0, 50.0)
     assert (scores.images, scores.pixels) == (2, 72)
     assert result.seconds_per_image > 0
 
@@ -149,11 +151,64 @@ def test_a_sparse_error_map_shows_thick_points(tmp_path):
 
 def test_json(tmp_path):
     protocol = EvaluationProtocol(max_disparity=math.inf)
-    save_evaluations([_evaluate([_sample("a", 4, 6)], protocol=protocol)], tmp_path / "a.json")
+    save_evaluations([_evaluate([_sample("a", 4, 6)], protocol=protocol)], json=tmp_path / "a.json")
     (record,) = json.loads((tmp_path / "a.json").read_text())
     assert (record["model"], record["data"]) == ("red", "made up")
     assert record["protocol"]["max_disparity"] is None
     assert record["masks"]["all"]["pixels"] == 24
+    assert record["masks"]["all"]["median"]["epe"] == pytest.approx(2.0, abs=1e-4)
+    (pair,) = record["pairs"]
+    assert (pair["pair"], pair["d1_all"], pair["d1_noc"]) == ("a", 0.0, None)
+
+
+def _half_occluded() -> torch.Tensor:
+    return (torch.arange(6) < 3).expand(4, 6)
+
+
+def test_csv_files(tmp_path):
+    data = [_sample("a", 4, 6, error=1.5, occluded=_half_occluded()), _sample("b, c", 4, 6, 5.0)]
+    evaluations = [_evaluate(data), _evaluate(data[1:])]
+    save_evaluations(evaluations, summary=tmp_path / "all.csv", pairs=tmp_path / "pairs.csv")
+    with (tmp_path / "pairs.csv").open(newline="") as file:
+        pairs = list(csv.DictReader(file))
+    assert [row["pair"] for row in pairs] == ["a", "b, c", "b, c"]
+    assert [float(row["epe_all"]) for row in pairs] == pytest.approx([1.5, 5, 5], abs=1e-4)
+    assert [row["bad1_noc"] for row in pairs] == ["100.0", "", ""]
+    assert [row["pixels_noc"] for row in pairs] == ["12", "", ""]
+    assert all(float(row["seconds"]) > 0 for row in pairs)
+    with (tmp_path / "all.csv").open(newline="") as file:
+        first, second = csv.DictReader(file)
+    assert first["model"] == "red" and first["pairs"] == "2"
+    assert float(first["epe_all_median"]) == pytest.approx(3.25, abs=1e-4)
+    assert float(first["epe_noc_mean"]) == pytest.approx(1.5, abs=1e-4)
+    assert first["bad2_all_mean"] == "50.0"
+    assert second["epe_noc_mean"] == second["pixels_noc"] == ""
+
+
+def test_the_table_says_the_protocol_and_what_is_unknown():
+    def text(data, **options):
+        console = Console(width=100)
+        with console.capture() as capture:
+            console.print(_evaluate(data, protocol=EvaluationProtocol(**options)))
+        return capture.get()
+
+    known = text([_sample("a", 4, 6, occluded=_half_occluded())], min_share=0.1)
+    words = " ".join(known.split())
+    for part in ("mean", "median", "per pixel", "noc (not occluded)", "occ (occluded)", "2.000"):
+        assert part in words
+    assert "0 < d < 192" in words and "Skipped: images where fewer than 10 %" in words
+    assert all(title in words for title in ("EPE", "bad-1", "bad-2", "D1", "GT"))
+    rows = (line.split() for line in text([_sample("a", 4, 6)]).splitlines())
+    (row,) = (row for row in rows if row[:1] == ["noc"])
+    assert set(row[1:]) == {"-"}
+
+
+def test_empty_and_skipped_images_have_their_columns():
+    far = _sample("far", 4, 6)
+    far.disparity[:] = 200
+    evaluation = _evaluate([_sample("a", 4, 6), far], protocol=EvaluationProtocol(min_share=0.1))
+    assert [column.header for column in evaluation.table().columns][-1] == "skipped"
+    assert [row["d1_all"] for row in evaluation.pair_rows()] == [0.0, None]
 
 
 def test_bad_input():
@@ -202,10 +257,12 @@ def command(data, root, model=None, weights=None, **values):
 
 def test_command(kitti, tmp_path, capsys):
     report, pictures = tmp_path / "report.json", tmp_path / "pictures"
-    command("kitti2015", kitti, ["sgbm"], batch_size=2, json=report, pictures=pictures)
+    tables = {"csv": tmp_path / "all.csv", "per_pair": tmp_path / "folder/pairs.csv"}
+    command("kitti2015", kitti, ["sgbm"], batch_size=2, json=report, pictures=pictures, **tables)
+    assert [len(table.read_text().splitlines()) for table in tables.values()] == [1 + 1, 1 + 3]
     text = capsys.readouterr().out
     assert "sgbm on kitti2015 (training)" in text
-    assert "per image" in text and "per pixel" in text and "fg" in text
+    assert "median" in text and "per pixel" in text and "fg" in text
     (record,) = json.loads(report.read_text())
     assert record["masks"]["all"]["per_image"]["epe"] == pytest.approx(4 / 3, abs=0.05)
     assert record["masks"]["fg"]["pixels"] == 3 * 32 * 40
@@ -217,9 +274,9 @@ def test_the_legend_comes_once_at_the_end(kitti, capsys):
     command("kitti2015", kitti, ["sgbm", "sgbm"])
     text = " ".join(capsys.readouterr().out.split())
     assert text.count("sgbm on kitti2015") == 2
-    for words in ("fg (foreground)", "bg (background)", "px-n: share", "Skipped: images"):
+    for words in ("fg (foreground)", "bg (background)", "bad-t: share", "Skipped: images"):
         assert text.count(words) == 1
-    assert text.rindex("px-3") < text.index("fg (foreground)")
+    assert text.rindex("bad-3") < text.index("fg (foreground)")
 
 
 @pytest.mark.filterwarnings("ignore:kitti2015")

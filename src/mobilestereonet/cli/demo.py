@@ -53,7 +53,7 @@ def demo(
     write_pfm(paths[3], torch.where(sample.valid, sample.disparity, torch.inf).numpy())
 
     print(f"Middlebury's Motorcycle, {info}")
-    print("EPE {epe:.3f} px, D1 {d1:.2f} %, px-3 {px-3:.2f} %".format(**scores.figures()))
+    print("EPE {epe:.3f} px, D1 {d1:.2f} %, bad-3 {bad3:.2f} %".format(**scores.figures()))
     print(f"over {scores.masks['all'].pixels} pixels with ground truth 0 < d < 192")
     print(f"Time {info.seconds:.2f} s (first run, warm-up included)")
     if options.is_default and options.quality is None:

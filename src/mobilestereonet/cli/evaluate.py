@@ -56,17 +56,24 @@ def evaluate(
         float, typer.Option(help="Score ground truth below this, in px; inf for all of it.")
     ] = 192,
     threshold: Annotated[
-        list[float] | None, typer.Option(help="An n of px-n. Repeat for more. Default: 1 2 3.")
+        list[float] | None, typer.Option(help="A t of bad-t. Repeat for more. Default: 1 2 3.")
     ] = None,
     batch_size: Annotated[int, typer.Option(min=1, help="Pairs per call.")] = 1,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for error maps, one folder per model in it.")
     ] = None,
     json: Annotated[
-        Path | None, typer.Option(help="File for the figures: a list, one record per model.")
+        Path | None,
+        typer.Option(help="JSON file for all figures, those of each pair too: a list of models."),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="CSV file: means and medians, one row per model.")
+    ] = None,
+    per_pair: Annotated[
+        Path | None, typer.Option(help="CSV file, a row per model and pair.")
     ] = None,
 ) -> None:
-    """Score models on a data set: EPE, D1 and px-n over all its masks."""
+    """Score models on a data set: EPE, D1 and bad-t over all its masks."""
     models: list[str | None] = [*model] if model else [None]
     if options.weights is not None and len(models) > 1:
         raise InputError(
@@ -93,6 +100,7 @@ def evaluate(
     from mobilestereonet.evaluation import (
         EvaluationProtocol,
         authors_protocol,
+        legend,
         save_evaluations,
     )
     from mobilestereonet.evaluation import evaluate as run
@@ -107,11 +115,12 @@ def evaluate(
         chosen.open_matcher(padding=own.padding)
         for chosen, own in zip(choices, protocols, strict=True)
     ]
-    for folder in (pictures, json and json.parent):
+    files = [file for file in (json, csv, per_pair) if file is not None]
+    for folder in (pictures, *(file.parent for file in files)):
         if folder is not None:
             make_folder(folder)
-    if json is not None:
-        refuse_folder(json)
+    for file in files:
+        refuse_folder(file)
     progress = Console(stderr=True)
     evaluations = []
     for matcher, own in zip(matchers, protocols, strict=True):
@@ -130,6 +139,5 @@ def evaluate(
             )
         )
         Console().print(evaluations[-1].table(legend=False))
-    Console().print(evaluations[-1].scores.legend())
-    if json is not None:
-        save_evaluations(evaluations, json)
+    Console().print(legend(evaluations[-1].scores))
+    save_evaluations(evaluations, json, csv, per_pair)

@@ -15,6 +15,8 @@ from mobilestereonet.evaluation.evaluate import (
     save_evaluations,
 )
 from mobilestereonet.evaluation.matching import DisparityFn
+from mobilestereonet.evaluation.pareto import ParetoPoint, pareto_front, plot_pareto
+from mobilestereonet.evaluation.report import legend
 from mobilestereonet.evaluation.sparsification import (
     Sparsification,
     plot_sparsification,
@@ -28,13 +30,17 @@ __all__ = [
     "DisparityFn",
     "Evaluation",
     "EvaluationProtocol",
+    "ParetoPoint",
     "Sparsification",
     "Submission",
     "authors_protocol",
     "check_submission",
     "evaluate",
+    "legend",
     "open_benchmark",
+    "pareto_front",
     "plan_submission",
+    "plot_pareto",
     "plot_sparsification",
     "save_evaluations",
     "sparsification",

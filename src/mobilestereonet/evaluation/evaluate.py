@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -13,12 +12,12 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation.matching import DisparityFn, timed_match
+from mobilestereonet.evaluation.report import scores_table, write_json, write_rows
 from mobilestereonet.metrics import StereoMetrics, StereoScores
 from mobilestereonet.plots import colour_disparity, error_map, side_by_side, thicken
 
@@ -70,14 +69,32 @@ class Evaluation:
         data: Name of the data set.
         protocol: Evaluation protocol.
         scores: Error figures.
-        seconds_per_image: Median time of a call divided by its number of images.
+        pairs: Names of the pairs, in the order of ``scores.pairs``.
+        seconds: Time of each pair: of its call, divided by the number of pairs in it.
     """
 
     model: str
     data: str
     protocol: EvaluationProtocol
     scores: StereoScores
-    seconds_per_image: float
+    pairs: tuple[str, ...]
+    seconds: tuple[float, ...]
+
+    @property
+    def seconds_per_image(self) -> float:
+        """Median time of a pair."""
+        return median(self.seconds)
+
+    def row(self) -> dict[str, Any]:
+        """All pairs in one row: model, data, seconds and `StereoScores.columns`."""
+        names = {"model": self.model, "data": self.data, "pairs": len(self.pairs)}
+        return {**names, "seconds_median": self.seconds_per_image, **self.scores.columns()}
+
+    def pair_rows(self) -> list[dict[str, Any]]:
+        """One row per pair: model, data, pair, seconds and the columns of `StereoScores`."""
+        own = zip(self.pairs, self.seconds, self.scores.pairs, strict=True)
+        names = {"model": self.model, "data": self.data}
+        return [{**names, "pair": n, "seconds": s, **columns} for n, s, columns in own]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dicts, ready for JSON."""
@@ -89,22 +106,38 @@ class Evaluation:
             "protocol": protocol,
             "seconds_per_image": self.seconds_per_image,
             "masks": scores["masks"],
+            "pairs": self.pair_rows(),
         }
 
     def table(self, legend: bool = True) -> Table:
         """Table of `rich` with the figures, and below it what they mean."""
         title = f"{self.model} on {self.data}, {self.seconds_per_image:.3f} s per image"
-        return self.scores.table(title, legend)
+        return scores_table(self.scores, title, legend)
 
     def __rich__(self) -> Table:
         return self.table()
 
 
-def save_evaluations(evaluations: Sequence[Evaluation], path: Path) -> None:
-    """Write evaluations as a JSON list."""
-    records = [evaluation.to_dict() for evaluation in evaluations]
-    text = json.dumps(records, indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+def save_evaluations(
+    evaluations: Sequence[Evaluation],
+    json: Path | None = None,
+    summary: Path | None = None,
+    pairs: Path | None = None,
+) -> None:
+    """Write evaluations to files.
+
+    Args:
+        evaluations: One for each model.
+        json: Everything, as a JSON list with one record per model.
+        summary: CSV file with one row per model.
+        pairs: CSV file with one row per model and pair.
+    """
+    if json is not None:
+        write_json([evaluation.to_dict() for evaluation in evaluations], json)
+    if summary is not None:
+        write_rows([evaluation.row() for evaluation in evaluations], summary)
+    if pairs is not None:
+        write_rows([row for evaluation in evaluations for row in evaluation.pair_rows()], pairs)
 
 
 def evaluate(
@@ -127,7 +160,7 @@ def evaluate(
         model: Name of ``match`` in the report.
         data_name: Name of ``data`` in the report.
         protocol: Evaluation protocol; by default whole frames and ``0 < d < 192``.
-        thresholds: The n of px-n, in px.
+        thresholds: The t of bad-t, in px.
         batch_size: Pairs per call at most. It does not change the figures.
         pictures: Folder for one picture per pair: left view, disparity, KITTI's error map.
 
@@ -140,19 +173,22 @@ def evaluate(
     """
     protocol = protocol or EvaluationProtocol()
     metrics = StereoMetrics(protocol.max_disparity, thresholds, protocol.min_share)
-    seconds = []
+    names: list[str] = []
+    seconds: list[float] = []
     for samples in _batches((_crop(sample, protocol.crop) for sample in data), batch_size):
         batch = collate(samples)
         prediction, elapsed = timed_match(match, batch)
         metrics.update(prediction, batch)
-        seconds.append(elapsed / len(samples))
+        names += [sample.name for sample in samples]
+        seconds += [elapsed / len(samples)] * len(samples)
         if pictures is not None:
             for sample, disparity in zip(samples, prediction, strict=True):
                 path = pictures / f"{sample.name.replace('/', '_')}.png"
                 write_png(path, _picture(sample, disparity, protocol.max_disparity))
     if not seconds:
         raise InputError(f"{data_name} has no sample to score")
-    return Evaluation(model, data_name, protocol, metrics.compute(), median(seconds))
+    scores = metrics.compute()
+    return Evaluation(model, data_name, protocol, scores, tuple(names), tuple(seconds))
 
 
 def _batches(data: Iterable[StereoSample], size: int) -> Iterator[list[StereoSample]]:

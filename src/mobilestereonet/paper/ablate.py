@@ -25,7 +25,7 @@ from mobilestereonet.training.run import train
 TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")
 """The paper's ablations, by what `table_models` takes."""
 
-_FIGURES = {"EPE": "epe", "D1": "d1", "px-3": "px-3"}
+_FIGURES = {"EPE": "epe", "D1": "d1", "px-3": "bad3"}
 """The paper's names of the figures, and those of `StereoScores`."""
 
 

@@ -128,7 +128,10 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         """Read disparity (H, W) in pixels, 0 where unknown, and mask (H, W), True where known."""
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
-        """Read the mask (H, W) of pixels that the right view does not see; None if unknown."""
+        """Read the mask (H, W) of pixels that the right view does not see; None if unknown.
+
+        Only its pixels with ground truth count.
+        """
         return None
 
     def read_foreground(self, truth: Path) -> Mask | None:
@@ -166,6 +169,8 @@ class StereoDataSet(Dataset[StereoSample], ABC):
                 raise InputError(
                     f"{frame.left}: left view is {_size(left)}, but {key} is {_size(tensor)}"
                 )
+        if "occluded" in tensors:
+            tensors["occluded"] &= tensors["valid"]
         return StereoSample(
             left=left,
             right=right,

@@ -52,7 +52,7 @@ class _Kitti(StereoDataSet):
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
         """Read the mask of pixels with ground truth in ``disp_occ`` but not in ``disp_noc``."""
         visible = truth.parents[1] / self.visible_truth_folder / truth.name
-        return valid & ~read_disparity_png(visible)[1] if visible.is_file() else None
+        return ~read_disparity_png(visible)[1] if visible.is_file() else None
 
     def read_calibration(self, left: Path) -> Calibration | None:
         """Read the frame's calibration, if that archive was unpacked too."""

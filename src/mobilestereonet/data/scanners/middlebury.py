@@ -37,8 +37,8 @@ class _CalibratedScenes(StereoDataSet):
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
         """Read occlusion from the set's mask or, without one, from the right ground truth."""
         mask, right = truth.with_name("mask0nocc.png"), truth.with_name("disp1.pfm")
-        if mask.is_file():  # 255: seen by both, 128: by the left view only, 0: unknown
-            occluded: Mask = read_levels(mask) == 128
+        if mask.is_file():  # 255: seen by both views, 128: by the left one only, 0: unknown
+            occluded: Mask = read_levels(mask) != 255
             return occluded
         if right.is_file():
             return occlusion_from_right_view(disparity, valid, *read_disparity_pfm(right))
