@@ -1,6 +1,6 @@
 """The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets import msnet, psmnet  # they register their names
+from mobilestereonet.nets import crl, dispnet, iresnet, msnet, psmnet  # they register their names
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -31,7 +31,10 @@ __all__ = [
     "VolumeModel",
     "VolumeOutputs",
     "build_model",
+    "crl",
+    "dispnet",
     "free_fields",
+    "iresnet",
     "is_model",
     "list_models",
     "model_config",
