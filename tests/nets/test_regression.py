@@ -57,6 +57,26 @@ def dispnet_c_key(key):
     return re.sub(pattern, name, key, count=1)
 
 
+AUTODISPNET_C = [
+    (r"^(stems\.\d|predictors\.\d)(\.0)?\.(?=[wb])", r"\1."),
+    (r"^predictors", "predict"),
+    (r"^feature_cell\.", "feature_cells.0."),
+    (r"\.before\.0", ".preprocess0"),
+    (r"\.last\.0", ".preprocess1"),
+    (r"\.prediction\.0", ".preprocess_pred"),
+    (r"\.skip\.0", ".preprocess_support"),
+    (r"\.up\.(\d)\.0", r".upsample\1"),
+    (r"\.cell\.operations\.", ".ops."),
+    (r"(\.ops\.\d)\.0\.(?=[wb])", r"\1."),
+]
+
+
+def autodispnet_c_key(key):
+    for pattern, name in AUTODISPNET_C:
+        key = re.sub(pattern, name, key)
+    return key
+
+
 @dataclass
 class Case:
     """A network of a release.
@@ -92,6 +112,14 @@ CASES = {
         dispnet_c_key,
         lambda _, outputs, *views: {"disparity": outputs.disparity, "occ": outputs.occlusion},
         {"occlusion": True},
+    ),
+    "autodispnet_c": Case(
+        "autodispnet-c",
+        autodispnet_c_key,
+        lambda _, outputs, *views: {
+            "disparity": outputs.disparity,
+            **{f"raw{6 - i}": raw.neg().clamp_max(0) for i, raw in enumerate(outputs.predictions)},
+        },
     ),
     "crl": Case(
         "crl",
@@ -199,6 +227,7 @@ def test_dispnet_corr1d_is_the_first_stage_of_crl():
     [
         ("dispnet-c", 38_307_785, 13.19),
         ("dispnet-corr1d", 42_430_107, None),
+        ("autodispnet-c", 36_989_773, 9.67),
         ("crl", 78_765_599, 99.43),
         ("iresnet", 43_352_290, 54.14),
         ("iresnet-reversing", 42_756_290, None),

@@ -1,6 +1,6 @@
 """The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets import crl, dispnet, iresnet, msnet, psmnet  # they register their names
+from mobilestereonet.nets import autodispnet, crl, dispnet, iresnet, msnet, psmnet  # register names
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -30,6 +30,7 @@ __all__ = [
     "StereoModel",
     "VolumeModel",
     "VolumeOutputs",
+    "autodispnet",
     "build_model",
     "crl",
     "dispnet",
