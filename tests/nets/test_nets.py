@@ -61,8 +61,9 @@ def test_every_named_network(name):
         assert values.isfinite().all()
         assert 0 <= values.min() <= values.max() <= largest
     assert model_name(model_config(name)) in list_models()
-    with pytest.raises(InputError, match=f"multiples of {net.size_multiple}"):
-        net(left[..., :-1], right[..., :-1])
+    if net.size_multiple > 1:
+        with pytest.raises(InputError, match=f"multiples of {net.size_multiple}"):
+            net(left[..., :-1], right[..., :-1])
 
 
 def test_the_papers_networks_have_four_outputs_and_reach_192_px():

@@ -1,6 +1,14 @@
 """The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets import autodispnet, crl, dispnet, iresnet, msnet, psmnet  # register names
+from mobilestereonet.nets import (  # they register their names
+    autodispnet,
+    crl,
+    dispnet,
+    iresnet,
+    mccnn,
+    msnet,
+    psmnet,
+)
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -38,6 +46,7 @@ __all__ = [
     "iresnet",
     "is_model",
     "list_models",
+    "mccnn",
     "model_config",
     "model_info",
     "model_name",

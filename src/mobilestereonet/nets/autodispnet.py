@@ -254,8 +254,9 @@ class AutoDispNetC(RegressionModel):
             sizes.append(3 * channels)
         self.predictors = nn.ModuleList(predictor(size) for size in sizes[1:])
         initialise(self)
-        for predict in self.predictors:
-            # Sums of operations grow without norms, and min(0, .) lets no gradient through above 0.
+        # Sums of operations grow without norms, and min(0, .) lets no gradient through above 0.
+        for predict in cast(list[nn.Conv2d], list(self.predictors)):
+            assert predict.bias is not None
             nn.init.normal_(predict.weight, std=1e-3)
             nn.init.constant_(predict.bias, -1.0)
 
