@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from mobilestereonet.accelerate import accelerate
+from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, model_name
 from mobilestereonet.nets.cross_based import aggregate, cross_arms, semi_global_matching
 from mobilestereonet.nets.disparity_refinement import (
@@ -128,6 +130,12 @@ def test_a_shift_is_found():
     texture = torch.rand(1, 3, 40, 86)
     disparity = net(texture[..., :80], texture[..., 6:]).disparity
     assert (disparity[0, :, 16:] - 6).abs().median() < 0.1
+
+
+def test_no_graph_is_made_of_it():
+    net = build_model("mccnn-fast", max_disparity=16)
+    with pytest.raises(InputError, match=r"MCCNN cannot be exported: .* use the engine torch"):
+        accelerate(net, "export")
 
 
 def test_parameters_of_the_method_do_not_change_the_name():

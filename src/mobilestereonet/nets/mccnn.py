@@ -154,6 +154,7 @@ class MCCNN(StereoModel):
     """Patches of 9x9 px compared by their features, and a stereo method without learning."""
 
     config: MCCNNConfig
+    exportable = False  # mismatched pixels are looked up one by one
     preprocessing = RGB
     size_multiple = 1
 
