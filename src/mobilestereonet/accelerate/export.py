@@ -60,9 +60,14 @@ class ExportableNet(nn.Module):
             scores: Give the last head's scores at their own resolution in place of the disparity.
 
         Raises:
-            InputError: If scores are asked of a network that has none.
+            InputError: If scores are asked of a network that has none, or no graph can hold it.
         """
         super().__init__()
+        if not net.exportable:
+            raise InputError(
+                f"{type(net).__name__} cannot be exported: no graph of operators holds what it "
+                "computes; use the engine torch"
+            )
         if scores and not isinstance(net, VolumeModel):
             raise InputError(f"{type(net).__name__} regresses the disparity: it has no scores")
         self.config, self.preprocessing = net.config, net.preprocessing

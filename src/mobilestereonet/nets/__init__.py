@@ -1,6 +1,14 @@
 """The networks as their papers describe them, behind one interface: `StereoModel`."""
 
-from mobilestereonet.nets import msnet, psmnet  # they register their names
+from mobilestereonet.nets import (  # they register their names
+    autodispnet,
+    crl,
+    dispnet,
+    iresnet,
+    mccnn,
+    msnet,
+    psmnet,
+)
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -30,10 +38,15 @@ __all__ = [
     "StereoModel",
     "VolumeModel",
     "VolumeOutputs",
+    "autodispnet",
     "build_model",
+    "crl",
+    "dispnet",
     "free_fields",
+    "iresnet",
     "is_model",
     "list_models",
+    "mccnn",
     "model_config",
     "model_info",
     "model_name",

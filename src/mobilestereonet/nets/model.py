@@ -71,8 +71,10 @@ class StereoModel(nn.Module):
         preprocessing: How RGB views become the network's input.
         size_multiple: Height and width of an input must be multiples of this.
         min_side: Smallest height and width of an input.
+        exportable: Whether a graph of operators can hold the network.
     """
 
+    exportable: ClassVar[bool] = True
     preprocessing: ClassVar[Preprocessing] = IMAGENET
     size_multiple: int = 16
     min_side: int = 1

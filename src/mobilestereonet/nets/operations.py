@@ -1,4 +1,4 @@
-"""Plain functions that several networks share: cost volumes, modes."""
+"""Plain functions that several networks share: cost volumes, correlation, modes."""
 
 from __future__ import annotations
 
@@ -66,6 +66,24 @@ def band_volume(
         costs = compare(left, right.gather(3, partner.clamp_min(0).expand_as(right)))
         volume.append(costs * (partner >= 0))
     return torch.stack(volume, dim=2)
+
+
+def correlation_1d(left: Tensor, right: Tensor, reach: int) -> Tensor:
+    """Correlation along the rows (DispNetC of Mayer et al., CVPR 2016, Sec. 4.1).
+
+    Args:
+        left: Features of the left views, (B, C, H, W).
+        right: Features of the right views, likewise.
+        reach: Largest displacement to either side, in pixels of the features.
+
+    Returns:
+        (B, 2 reach + 1, H, W): channel k is the mean over the channels of left column x times
+        right column x + k - reach; zero where that is outside.
+    """
+    width = left.shape[-1]
+    right = F.pad(right, (reach, reach))
+    products = [(left * right[..., k : k + width]).mean(dim=1) for k in range(2 * reach + 1)]
+    return torch.stack(products, dim=1)
 
 
 @contextmanager

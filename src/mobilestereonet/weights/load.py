@@ -13,6 +13,8 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, build_model
 from mobilestereonet.weights.authors import from_authors
 from mobilestereonet.weights.build import build_from
+from mobilestereonet.weights.caffe import ENDING as CAFFE_ENDING
+from mobilestereonet.weights.caffe import read_caffemodel
 from mobilestereonet.weights.checkpoints import read_checkpoint
 from mobilestereonet.weights.embedded import embedded_file, embedded_models, is_embedded
 from mobilestereonet.weights.files import (
@@ -22,8 +24,16 @@ from mobilestereonet.weights.files import (
     read_weights_file,
 )
 from mobilestereonet.weights.hub import download
+from mobilestereonet.weights.reversing import from_reversing
 
-_ENDINGS = (".safetensors", *CHECKPOINT_ENDINGS)
+_ENDINGS = (".safetensors", CAFFE_ENDING, *CHECKPOINT_ENDINGS)
+_UNREADABLE = {
+    ".index": "a TensorFlow snapshot",
+    ".meta": "a TensorFlow snapshot",
+    ".t7": "a Torch7 file",
+    ".net": "a Torch7 file",
+}
+"""Endings of files that other networks are released in, and that need their old framework."""
 _IN_FOLDERS = ("model.safetensors", "weights.safetensors")
 """Weights in a folder: the hub's name, and that of a training run."""
 
@@ -44,7 +54,7 @@ def load_model(
 
             - embedded weights: "msnet2d", or a version such as "msnet2d.procedural-1";
             - a file: ``.safetensors`` of `save_weights`, a checkpoint of a training run
-              (``last.ckpt``), a PyTorch state dict, or a checkpoint of the authors' release;
+              (``last.ckpt``), a PyTorch state dict, or a public checkpoint of a registered network;
             - a folder of `save_pretrained` or of a training run;
             - "organisation/name" on the Hugging Face Hub (extra ``hub``), in the layout of
               `save_pretrained`.
@@ -62,7 +72,7 @@ def load_model(
         InputError: If a file is damaged, does not tell its network, holds another one than
             ``model``, or does not fit ``overrides``; or if the hub cannot be read.
     """
-    weights = from_authors(_find(name, revision))
+    weights = from_reversing(from_authors(_find(name, revision)))
     return build_from(weights, model, {**(config or {}), **overrides})
 
 
@@ -114,6 +124,14 @@ def _find(name: str | Path, revision: str | None) -> WeightsFile:
 
 
 def _read_file(path: Path) -> WeightsFile:
+    if path.suffix in _UNREADABLE or ".data-" in path.name:
+        kind = _UNREADABLE.get(path.suffix, "a TensorFlow snapshot")
+        raise InputError(
+            f"{path}: {kind} cannot be read without that framework: load it there, and save the "
+            "tensors under our names as .safetensors"
+        )
+    if path.suffix == CAFFE_ENDING:
+        return read_caffemodel(path)
     return read_checkpoint(path) if path.suffix in CHECKPOINT_ENDINGS else read_weights_file(path)
 
 
