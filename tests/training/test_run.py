@@ -166,25 +166,30 @@ def test_validation_scenes_are_not_trained_on():
     assert not torch.allclose(train_scenes[0].left, val_scenes[0].left, atol=0.1)
 
 
-def test_worker_processes_make_the_same_scenes():
+def test_worker_processes_change_nothing():
     found = []
-    for workers in (0, 2):
-        data = RunData(RECIPE, workers)
+    for workers in (0, 1, 3):
+        data = RunData(replace(RECIPE, uses=2, pool=4, batch_size=2), workers)
         strategy = SimpleNamespace(root_device=torch.device("cpu"))
         data.trainer = SimpleNamespace(
-            world_size=1, global_rank=0, global_step=0, max_steps=3, strategy=strategy
+            world_size=1, global_rank=0, global_step=0, max_steps=5, strategy=strategy
         )
         data.setup("fit")
         loader = data.train_dataloader()
         assert loader.num_workers == workers
-        found.append([batch.augmented for batch in loader])
+        batches = [data.on_after_batch_transfer(delivery, 0).augmented for delivery in loader]
+        assert len(batches) == 5
+        found.append(batches)
     # Where there are workers, a GPU is left to the training.
     strategy.root_device = torch.device("cuda")
     data.setup("fit")
     assert data.train_source.device.type == "cpu"
-    for own, others in zip(*found, strict=True):
-        torch.testing.assert_close(own.left, others.left)
-        torch.testing.assert_close(own.disparity, others.disparity)
+    for batches in found[1:]:
+        for own, others in zip(found[0], batches, strict=True):
+            assert torch.equal(own.left, others.left)
+            assert torch.equal(own.disparity, others.disparity)
+    validation = next(iter(data.val_dataloader()))
+    assert data.on_after_batch_transfer(validation, 0) is validation
 
 
 def test_files_of_any_size(tmp_path):

@@ -24,9 +24,9 @@ from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
 from mobilestereonet.nets.operations import eval_mode, pad, unpad
 from mobilestereonet.plots import colour_disparity, error_map
-from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.objective import Objective, Part
+from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
 

@@ -50,6 +50,11 @@ class Recipe:
         scenes: What procedural scenes look like, their size and seed.
         val_scenes: Procedural scenes to validate on.
         augment: Random crop and augmentation.
+        uses: How often each pair that was read or rendered is trained on, each time with another
+            crop and augmentation.
+        pool: Pairs held for this, in the training device's memory, shared out over the devices: of
+            256 x 512 pixels each takes 1.4 MB. A multiple of the global batch, and a batch that
+            is a multiple of ``uses``, make each pair be rendered once.
         batch_size: Pairs per device and step.
         epochs: Length of the run in passes over the data; None where ``steps`` says it.
         steps: Length of the run in steps; None where ``epochs`` says it.
@@ -95,6 +100,8 @@ class Recipe:
     scenes: SceneConfig = field(default_factory=SceneConfig)
     val_scenes: int = 16
     augment: AugmentConfig = field(default_factory=AugmentConfig)
+    uses: int = 1
+    pool: int = 256
     batch_size: int = 8
     epochs: int | None = None
     steps: int | None = None
@@ -122,7 +129,7 @@ class Recipe:
                 f"steps={self.steps}: set one of them to null"
             )
         positive = ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every")
-        for name in (*positive, "val_scenes", "epochs", "steps", "clip", "distil"):
+        for name in (*positive, "val_scenes", "uses", "pool", "epochs", "steps", "clip", "distil"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
