@@ -285,7 +285,9 @@ def test_blur_and_noise():
     assert torch.allclose(sharp.left[0], sample.left, atol=1e-5)
     peaks = []
     for seed in range(20):
-        blurred = augment([sample], replace(PLAIN, blur=2.0, blur_probability=1.0), _generators(seed))
+        blurred = augment(
+            [sample], replace(PLAIN, blur=2.0, blur_probability=1.0), _generators(seed)
+        )
         assert blurred.left.sum().item() == pytest.approx(3, rel=0.01)
         assert not torch.allclose(blurred.left, blurred.right, atol=1e-4)
         peaks.append(float(blurred.left.max()))

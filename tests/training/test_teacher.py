@@ -143,7 +143,9 @@ def test_clean_views_have_the_same_geometry(kind):
     source = Numbers()
     if kind == "procedural":
         source = ProceduralScenes(SceneConfig(height=40, width=60, length=3, noise_textures=2))
-    crop = AugmentConfig(height=32, width=48, scale=(-0.1, 0.3), stretch=0.2, vertical_shift=2.0, rotation=3.0)
+    crop = AugmentConfig(
+        height=32, width=48, scale=(-0.1, 0.3), stretch=0.2, vertical_shift=2.0, rotation=3.0
+    )
     pairs = TrainingPairs(source, 3)[Request([1, 2], [1, 2], [1, 2], 0)]
     plain = PairPool(crop, 3).batch(pairs).augmented
     changed = replace(crop, noise=0.2, exposure=(0.2, 0.3))

@@ -56,7 +56,7 @@ def ablate(
 
     values = parse_assignments(assignments or [])
     if steps is not None:
-        values |= {"steps": steps, "epochs": None}
+        values |= {"steps": steps, "epochs": None, "duration": None}
     paths = {"root": root, "textures": textures}
     values |= {name: str(path) for name, path in paths.items() if path is not None}
     chosen = override(get_recipe(recipe), values)

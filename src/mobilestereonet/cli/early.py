@@ -76,7 +76,8 @@ def check_values(values: Mapping[str, Any]) -> None:
             raise FileNotFoundError(f"no folder {folder}")
     for name in ("settings", "assignments"):
         parse_assignments(values.get(name) or [])
-    _check_choice("--recipe", values.get("recipe"), RECIPES)
+    if not str(values.get("recipe")).endswith(".json"):
+        _check_choice("--recipe", values.get("recipe"), RECIPES)
     _check_choice("format", values.get("format_"), FORMATS)
     for name, endings in OUTPUT_ENDINGS.items():
         for path in values.get(name) or ():

@@ -26,8 +26,9 @@ def train(
     recipe: Annotated[
         str | None,
         typer.Option(
-            help="procedural, procedural-plain, paper-sceneflow or paper-kitti2015. [default: "
-            "procedural; procedural-plain for a network that lacks what that needs]"
+            help="procedural, procedural-plain, paper-sceneflow or paper-kitti2015, or another "
+            "run's recipe.json. [default: procedural; procedural-plain for a network that lacks "
+            "what that needs]"
         ),
     ] = None,
     assignments: Annotated[

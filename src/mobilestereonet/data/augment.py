@@ -82,9 +82,9 @@ class AugmentConfig:
 
 
 def geometry_only(config: AugmentConfig) -> AugmentConfig:
-    """The geometric part of a config: crop, scale, stretch and misalignment, without colours and noise.
+    """The geometric part of a config: crop, scale, stretch and misalignment.
 
-    Generators in the same state give the same crops, scales and misalignments under both.
+    Generators in the same state give the same geometry under both.
     """
     return AugmentConfig(
         height=config.height,
