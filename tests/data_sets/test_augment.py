@@ -141,6 +141,41 @@ def test_scaled_disparity_is_exact_on_a_plane():
     assert error.max() < 1e-3
 
 
+@pytest.mark.parametrize("octaves", [-0.4, 0.4])
+def test_stretch_keeps_matches_and_scales_disparity(octaves, monkeypatch):
+    sample = _plane()
+
+    class Fixed(np.random.Generator):
+        def uniform(self, low=0.0, high=1.0, size=None):
+            return octaves if (low, high) == (-0.5, 0.5) else super().uniform(low, high, size)
+
+    config = replace(PLAIN, stretch=0.5, stretch_probability=1.0)
+    result = augment([sample], config, [Fixed(np.random.PCG64(1))])
+    height, width = result.left.shape[-2:]
+    assert width / height / (160 / 96) == pytest.approx(2**octaves, rel=0.02)
+    assert width * height == pytest.approx(96 * 160, rel=0.02)
+    inside = _inside(result)
+    assert (_matched(result) - result.left[0]).abs().mean(0)[inside].max() < 0.03
+    # A plane's disparity at a point of the pair, in pixels of the stretched view.
+    y = (torch.arange(height) + 0.5) * 96 / height - 0.5
+    x = (torch.arange(width) + 0.5) * 160 / width - 0.5
+    expected = (12 + 0.05 * x + 0.2 * y[:, None]) * width / 160
+    assert (result.disparity[0] - expected)[2:-2, 2:-2].abs().max() < 1e-3
+
+
+def test_stretch_has_its_range_and_probability():
+    place = torch.arange(60 * 90, dtype=torch.float32).view(60, 90)
+    pair = StereoSample(place.expand(3, -1, -1) / 5400, torch.zeros(3, 60, 90), name="ramp")
+    config = replace(PLAIN, height=30, width=45, stretch=0.2)
+    shapes = []
+    for seed in range(200):
+        view = augment([pair], config, _generators(seed)).left[0, 0] * 5400
+        across, down = float(view[15, 30] - view[15, 10]) / 20, float(view[20, 9] - view[10, 9])
+        shapes.append(np.log2(down / 10 / 90 / across))
+    assert (np.abs(shapes) < 0.02).mean() < 0.45 and np.abs(shapes).max() < 0.26
+    assert min(shapes) < -0.1 and max(shapes) > 0.1
+
+
 def test_scale_mixes_no_surfaces_and_keeps_gaps():
     disparity = torch.full((40, 60), 5.0)
     disparity[:, 30:] = 25.0
@@ -266,6 +301,23 @@ def test_colour_is_joint_unless_told_otherwise():
     assert (result.left[0] - sample.left).abs().mean() > 0.02
     result = augment([sample], replace(joint, view_change=0.5), _generators(7))
     assert (result.left - result.right).abs().mean() > 0.01
+
+
+def test_one_view_may_have_colours_of_its_own():
+    pair = _random(1, 16, 24)
+    pair = replace(pair, right=pair.left)
+    config = replace(PLAIN, brightness=0.3, gamma=0.3, one_sided=0.5)
+    result = augment([pair] * 200, config, _generators(*range(200)))
+    joint = augment([pair] * 200, replace(config, one_sided=0.0), _generators(*range(200)))
+    assert torch.equal(joint.left, joint.right)
+    changed = [
+        (now != before).flatten(1).any(1)
+        for now, before in ((result.left, joint.left), (result.right, joint.right))
+    ]
+    assert not (changed[0] & changed[1]).any()
+    for side in changed:  # each in a quarter of the pairs, by 4 standard deviations
+        assert 0.13 < side.float().mean() < 0.37
+    assert torch.equal(result.disparity, torch.stack([pair.disparity] * 200))
 
 
 def test_exposure_sets_the_mean():

@@ -40,6 +40,7 @@ class AugmentConfig:
         hue: Largest change of the joint hue in radians.
         gamma: Largest natural logarithm of the joint gamma.
         view_change: Share of each of the colour changes that is drawn again per view.
+        one_sided: Probability that one of the views has colour changes of its own altogether.
         grey: Probability of a grey pair.
         vignette: Largest darkening of the corners.
         blur: Largest standard deviation of a Gaussian blur in pixels, drawn per view.
@@ -66,6 +67,7 @@ class AugmentConfig:
     hue: float = 0.0
     gamma: float = 0.0
     view_change: float = 0.0
+    one_sided: float = 0.0
     grey: float = 0.0
     vignette: float = 0.0
     blur: float = 0.0
@@ -248,6 +250,10 @@ def _colour(
     """Brightness, contrast, saturation, hue, gamma: joint, plus a share per view."""
     drawn = _draw(generators, (3, 5), views)  # joint, left, right
     change = drawn[:, :1] + config.view_change * drawn[:, 1:]  # (B, 2, 5)
+    if config.one_sided:
+        side, chance = (_draw(generators, (2,), views) / 2 + 0.5).unbind(1)
+        own = torch.stack((side < 0.5, side >= 0.5), 1) & (chance < config.one_sided)[:, None]
+        change = torch.where(own[..., None], drawn[:, 1:], change)
     limits = (config.brightness, config.contrast, config.saturation, config.hue, config.gamma)
     if not any(limits):
         return views
