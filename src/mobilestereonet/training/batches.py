@@ -8,7 +8,7 @@ resumed run exact.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
@@ -129,17 +129,14 @@ class TrainingPairs(Dataset[Delivery]):
 
     def __getitem__(self, request: Request) -> Delivery:
         """Read or render what is missing."""
-        numbers = request.missing
-        loaded = dict(zip(numbers, map(pack, self._read(numbers)), strict=True))
+        loaded = {number: pack(self._read(number)) for number in request.missing}
         return Delivery(request.positions, request.pairs, loaded, request.oldest)
 
-    def _read(self, numbers: Sequence[int]) -> list[StereoSample]:
-        if not isinstance(self.source, ProceduralScenes):
-            return [self.source[self._index(number)] for number in numbers]
-        if not numbers:
-            return []
-        scenes = self.source.batch(numbers)
-        return [scenes.map(itemgetter(place)) for place in range(len(numbers))]
+    def _read(self, number: int) -> StereoSample:
+        if isinstance(self.source, ProceduralScenes):
+            # One by one: rendered together, scenes may differ in their last bits.
+            return self.source.batch([number]).map(itemgetter(0))
+        return self.source[self._index(number)]
 
     def _index(self, number: int) -> int:
         """Every pass over the data set has an order of its own."""

@@ -217,7 +217,9 @@ _PAPER_CROP = AugmentConfig(height=256, width=512)
 
 _PROCEDURAL = Recipe(
     net={"estimator": "mode"},
-    scenes=SceneConfig(height=320, width=640),
+    scenes=SceneConfig(
+        height=320, width=640, background=0.3, floating=0.4, mirrors=0.1, reliefs=0.1
+    ),
     augment=AugmentConfig(
         height=256,
         width=512,
