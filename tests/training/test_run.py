@@ -1,4 +1,5 @@
 import csv
+import itertools
 import logging
 import warnings
 from dataclasses import replace
@@ -288,6 +289,9 @@ def _rates(folder):
 def test_a_schedule_by_the_clock(tmp_path, monkeypatch):
     said = []
     monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
+    # Every look at the clock takes a twentieth of a second.
+    clock = SimpleNamespace(monotonic=(count / 20 for count in itertools.count()).__next__)
+    monkeypatch.setattr("lightning.pytorch.callbacks.timer.time", clock)
     by_clock = replace(
         RECIPE, steps=None, duration="2.5s", schedule=((0.0, 1.0), (1.0, 0.0)), val_every=10_000
     )
@@ -295,19 +299,18 @@ def test_a_schedule_by_the_clock(tmp_path, monkeypatch):
     _train(folder, by_clock, max_time="00:00:00:01")
     half = torch.load(folder / "last.ckpt", weights_only=True)
     elapsed = half["callbacks"]["Clock"]["time_elapsed"]["train"]
-    assert 1 <= elapsed < 2.3 and said[-1].endswith("steps; --resume goes on")
+    assert 0.9 < elapsed < 1.4 and said[-1].endswith("steps; --resume goes on")
     assert read_recipe(folder / "recipe.json").steps == half["global_step"] > 0
     assert not read_recipe(folder / "recipe.json").changes(by_clock)
 
     _train(folder, by_clock, resume=True)
     whole = torch.load(folder / "last.ckpt", weights_only=True)
-    assert 2.5 <= whole["callbacks"]["Clock"]["time_elapsed"]["train"] < 4.5
+    assert 2.5 <= whole["callbacks"]["Clock"]["time_elapsed"]["train"] < 3
     steps = whole["global_step"]
     assert steps > half["global_step"] and said[-1].endswith(f"after {steps} steps")
     rates = _rates(folder)
     full = RECIPE.lr / RECIPE.lr_batch
     assert rates == sorted(rates, reverse=True) and rates[0] > 0.6 * full > rates[-1]
-    assert 1 <= whole["lr_schedulers"][0]["_step_count"] - 1 == steps
     assert whole["lr_schedulers"][0]["_last_lr"][0] < 0.2 * full
 
     # Nothing is left to do.
