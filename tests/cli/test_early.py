@@ -113,3 +113,9 @@ def test_training_takes_networks_without_weights():
     check_values({"model": "baseline2d", "weights": None, "recipe": "procedural"})
     with pytest.raises(InputError, match="need --weights FILE"):
         check_values({"model": "baseline2d", "weights": None})
+
+
+def test_the_recipe_of_a_run_is_no_name():
+    check_values({"recipe": "runs/first/recipe.json"})
+    with pytest.raises(InputError, match="--recipe runs/first: there are"):
+        check_values({"recipe": "runs/first"})

@@ -53,9 +53,9 @@ class Recipe:
         augment: Random crop and augmentation.
         uses: How often each pair that was read or rendered is trained on, each time with another
             crop and augmentation.
-        pool: Pairs held for this, in the training device's memory, shared out over the devices: of
-            256 x 512 pixels each takes 1.4 MB. A multiple of the global batch, and a batch that
-            is a multiple of ``uses``, make each pair be rendered once.
+        pool: Pairs in use at a time, held in the training device's memory, 11 bytes a pixel. On
+            several devices each pair is rendered for one of them if this is a multiple of the
+            global batch and ``batch_size`` one of ``uses``.
         batch_size: Pairs per device and step.
         epochs: Length of the run, in as many pairs as the data set has; None where ``steps`` or
             ``duration`` says it.
