@@ -37,8 +37,8 @@ from mobilestereonet.accelerate import accelerate
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.memory import keep_freed_memory
 from mobilestereonet.nets import build_model, trained_pixels
-from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import get_recipe
 
 VARIANTS = {

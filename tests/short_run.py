@@ -7,8 +7,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from mobilestereonet import create_model
-from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.weights import save_weights
 

@@ -51,6 +51,7 @@ MATCHER += ("--model sgbm --precision bf16", "--model sgbm --runtime openvino")
 CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit cm")
 CALIBRATION += ("--calib-left absent.txt", "--focal 900 --calib left.png")
 TRAINING = ("--precision fp16", "--accelerator gpus", "--recipe procedurel", "--set lr")
+TRAINING += ("--recipe absent/recipe.json",)
 TRAINING += ("--root absent", "--textures absent", "--workers -1")
 PAIR = "left.png right.png"
 

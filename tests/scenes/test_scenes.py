@@ -66,6 +66,7 @@ def make_scene(*items, light=(0.0, 0.0, -1.0)):
         colour=np.ones((count, 3)),
         contrast=np.ones(count),
         gloss=np.zeros(count),
+        mirror=np.zeros(count),
     )
     return Scene(
         focal=FOCAL,
@@ -388,3 +389,99 @@ def test_many_surfaces_have_materials_of_their_own():
     scenes = ProceduralScenes(replace(TINY, objects=(1500, 1500), kinds={"clutter": 1}))
     looks = scenes.scene(0).surfaces
     assert len(np.unique(looks.colour, axis=0)) > 1400
+
+
+def test_many_things_appear_before_what_was_there(scenes):
+    indices = [0, 1, 2, 3]
+    before = scenes.batch(indices)
+    for name, farthest in (("background", 0.35), ("floating", 1.1)):
+        after = ProceduralScenes(replace(SMALL, **{name: 1.0})).batch(indices)
+        changed = after.disparity > before.disparity + 1e-3
+        assert (after.disparity > before.disparity - 1e-3).all()
+        assert 0.02 < changed.float().mean() < 0.8
+        assert after.disparity[changed].max() < 1.3 * farthest * SMALL.max_disparity
+
+
+def test_the_chance_of_many_things():
+    config = replace(SMALL, noise_textures=4, kinds={"planes": 1.0}, objects=(0, 0))
+    counts = {}
+    for chance in (0.0, 0.4, 1.0):
+        scenes = ProceduralScenes(replace(config, floating=chance))
+        counts[chance] = [len(scenes.scene(index).surfaces.shape) for index in range(60)]
+    assert max(counts[0.0]) < 10 and min(counts[1.0]) > 80
+    share = np.mean([count > 80 for count in counts[0.4]])
+    assert 0.15 < share < 0.65  # 4 standard deviations
+
+
+def _matched(sample):
+    """The right view as seen from the left one, by the ground truth."""
+    height, width = sample.disparity.shape[-2:]
+    x = (2 * (torch.arange(width) - sample.disparity) + 1) / width - 1
+    y = (2 * torch.arange(height)[:, None] + 1) / height - 1
+    grid = torch.stack((x, y.expand_as(x)), -1)
+    return F.grid_sample(sample.right, grid, align_corners=False)
+
+
+def test_mirrors_change_the_views_and_not_the_geometry(scenes):
+    indices = list(range(6))
+    plain = scenes.batch(indices)
+    shiny = ProceduralScenes(replace(SMALL, mirrors=1.0)).batch(indices)
+    assert torch.equal(shiny.disparity, plain.disparity)
+    assert torch.equal(shiny.occluded, plain.occluded)
+
+    def mismatch(sample):
+        """Median difference of matching pixels, relative to the contrast."""
+        error = (_matched(sample) - sample.left).abs().mean(1)[~sample.occluded]
+        return float(error.median() / sample.left.std())
+
+    assert mismatch(shiny) > 2 * mismatch(plain)
+
+
+def test_what_a_mirror_shows_stays_where_it_is_infinitely_far_away():
+    """A flat mirror across the view: its picture has no disparity, the mirror itself has."""
+    texture = np.random.default_rng(0).integers(0, 255, (2, 16, 16, 3), np.uint8)
+    texture[0] = 0
+    bank = TextureBank(texture, 2, torch.device("cpu"))
+    scene = make_scene(wall(4))
+    surfaces = replace(scene.surfaces, mirror=np.array([1.0]), colour=np.zeros((1, 3)))
+    scene = replace(scene, surfaces=surfaces, surroundings=1)
+    masks = torch.ones(1, 4, 4, dtype=torch.bool)
+    images, disparity, _ = render_scenes([scene], SIZE, 1, bank, masks)
+    assert disparity.min() > 2
+    assert images[0].std() > 0.02
+    torch.testing.assert_close(images[0, 0], images[0, 1], atol=1e-4, rtol=0)
+
+
+def test_reliefs_match_their_disparity():
+    config = replace(SMALL, reliefs=1.0, max_disparity=30.0)
+    sample = ProceduralScenes(config).batch(range(8))
+    assert sample.valid.all() and sample.disparity.max() <= 30
+    assert sample.disparity.min() >= 0.05 * SMALL.min_disparity
+    assert 0.02 < sample.occluded.float().mean() < 0.5
+    seen = _matched(sample)
+    # Edges of layers are mixed; elsewhere the two views agree up to what resampling blurs.
+    edge = F.max_pool2d(sample.disparity, 5, 1, 2) + F.max_pool2d(-sample.disparity, 5, 1, 2) > 1.5
+    inside = ~sample.occluded & ~edge
+    assert inside.float().mean() > 0.3
+    error = (seen - sample.left).abs().mean(1)
+    shifted = (seen.roll(1, -1) - sample.left).abs().mean(1)
+    assert error[inside].mean() < 0.5 * shifted[inside].mean()
+    assert error[sample.occluded].mean() > 2 * error[inside].mean()
+
+
+def test_reliefs_are_a_share_of_the_scenes(scenes):
+    some = ProceduralScenes(replace(SMALL, reliefs=0.5))
+    reliefs = [index for index in range(12) if some[index].calibration is None]
+    assert 1 <= len(reliefs) <= 11
+    together, plain = some.batch(range(12)), scenes.batch(range(12))
+    for index in range(12):
+        assert torch.allclose(together.left[index], some.batch([index]).left[0], atol=1e-5)
+        same = torch.allclose(together.left[index], plain.left[index], atol=1e-5)
+        assert same == (index not in reliefs)
+
+
+def test_photographs_are_on_reliefs_if_there_are_some(tmp_path):
+    cv2.imwrite(str(tmp_path / "red.png"), np.full((40, 40, 3), (0, 0, 255), np.uint8))
+    config = replace(SMALL, reliefs=1.0)
+    sample = ProceduralScenes(config, textures=tmp_path).batch(range(2))
+    assert (sample.left[:, 0] > 0.95).all() and (sample.left[:, 1] < 0.05).all()

@@ -9,9 +9,9 @@ from lightning.pytorch.plugins.precision import MixedPrecision
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
-from mobilestereonet.training.batches import TrainingBatch
 from mobilestereonet.training.module import StereoModule
 from mobilestereonet.training.objective import volume_loss_sum
+from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import Recipe, override
 from short_run import fit
 

@@ -119,6 +119,10 @@ def test_override():
         ({"augment.exposure": [1, 2, 3]}, r"exposure must be \[a number, a number\] or null"),
         ({"epochs": 3}, "either epochs or steps.*to null"),
         ({"steps": None}, "either epochs or steps"),
+        ({"duration": "soon"}, "duration must be a number with s, m or h, such as 12m, got 'soon'"),
+        ({"duration": "0m"}, "duration must be positive, got 0m"),
+        ({"duration": "1m", "epochs": 3}, "either epochs or a duration"),
+        ({"uses": 0}, "uses must be positive"),
         ({"lr": 0}, "lr must be positive"),
         ({"clip": -1.0}, "clip must be positive"),
         ({"ema": 1.0}, "ema must be in"),
@@ -138,6 +142,24 @@ def test_override():
 def test_refused_overrides(values, words):
     with pytest.raises(InputError, match=words):
         override(get_recipe("procedural"), values)
+
+
+def test_a_duration():
+    recipe = override(get_recipe("procedural"), {"duration": "12m"})
+    assert recipe.seconds == 720 and recipe.steps is not None
+    assert override(recipe, {"duration": "1.5h", "steps": None}).seconds == 5400
+    assert override(recipe, {"duration": "90s"}).seconds == 90
+    assert get_recipe("procedural").seconds is None
+
+
+def test_a_run_by_the_clock_records_its_steps(tmp_path):
+    before = override(get_recipe("procedural"), {"duration": "12m", "steps": None})
+    path = tmp_path / "recipe.json"
+    path.write_text(override(before, {"steps": 1234}).to_json())
+    after = get_recipe(str(path))
+    assert after.steps == 1234 and before.changes(after) == ""
+    assert override(before, {"duration": "13m"}).changes(after) == "duration 13m -> 12m"
+    assert override(after, {"duration": None}).steps == 1234
 
 
 def _lr_by_epoch(recipe: Recipe, steps_per_epoch: int) -> list[float]:

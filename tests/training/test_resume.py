@@ -32,6 +32,8 @@ VALUES = {
     "augment.width": 96,
     "augment.patch": "[5,10]",
     "batch_size": 1,
+    "uses": 2,
+    "pool": 6,
     "val_scenes": 1,
     "val_every": 5,
     "save_every": 2,

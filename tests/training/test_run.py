@@ -1,4 +1,5 @@
 import csv
+import itertools
 import logging
 import warnings
 from dataclasses import replace
@@ -16,7 +17,7 @@ from mobilestereonet.nets import build_model
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
 from mobilestereonet.training.data import RunData
-from mobilestereonet.training.recipe import Recipe, override, read_recipe
+from mobilestereonet.training.recipe import Recipe, get_recipe, override, read_recipe
 from mobilestereonet.training.run import train
 from mobilestereonet.weights import load_model, save_weights
 
@@ -166,25 +167,30 @@ def test_validation_scenes_are_not_trained_on():
     assert not torch.allclose(train_scenes[0].left, val_scenes[0].left, atol=0.1)
 
 
-def test_worker_processes_make_the_same_scenes():
+def test_worker_processes_change_nothing():
     found = []
-    for workers in (0, 2):
-        data = RunData(RECIPE, workers)
+    for workers in (0, 1, 3):
+        data = RunData(replace(RECIPE, uses=2, pool=4, batch_size=2), workers)
         strategy = SimpleNamespace(root_device=torch.device("cpu"))
         data.trainer = SimpleNamespace(
-            world_size=1, global_rank=0, global_step=0, max_steps=3, strategy=strategy
+            world_size=1, global_rank=0, global_step=0, max_steps=5, strategy=strategy
         )
         data.setup("fit")
         loader = data.train_dataloader()
         assert loader.num_workers == workers
-        found.append([batch.augmented for batch in loader])
+        batches = [data.on_after_batch_transfer(delivery, 0).augmented for delivery in loader]
+        assert len(batches) == 5
+        found.append(batches)
     # Where there are workers, a GPU is left to the training.
     strategy.root_device = torch.device("cuda")
     data.setup("fit")
     assert data.train_source.device.type == "cpu"
-    for own, others in zip(*found, strict=True):
-        torch.testing.assert_close(own.left, others.left)
-        torch.testing.assert_close(own.disparity, others.disparity)
+    for batches in found[1:]:
+        for own, others in zip(found[0], batches, strict=True):
+            assert torch.equal(own.left, others.left)
+            assert torch.equal(own.disparity, others.disparity)
+    validation = next(iter(data.val_dataloader()))
+    assert data.on_after_batch_transfer(validation, 0) is validation
 
 
 def test_files_of_any_size(tmp_path):
@@ -271,6 +277,49 @@ def test_time_is_up(tmp_path):
     _train(tmp_path, replace(RECIPE, steps=10_000, save_every=10_000), max_time="00:00:00:01")
     step = torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"]
     assert 0 < step < 1000 and (tmp_path / "weights.safetensors").is_file()
+
+
+def _rates(folder):
+    """Learning rates of all starts, in order."""
+    lines = [path.read_text().splitlines() for path in sorted(folder.glob("csv/*/metrics.csv"))]
+    rows = [row for log in lines for row in csv.DictReader(log)]
+    return [float(row["train/lr"]) for row in rows if row.get("train/lr")]
+
+
+def test_a_schedule_by_the_clock(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr("mobilestereonet.training.run.rank_zero_info", said.append)
+    # Every look at the clock takes a twentieth of a second.
+    clock = SimpleNamespace(monotonic=(count / 20 for count in itertools.count()).__next__)
+    monkeypatch.setattr("lightning.pytorch.callbacks.timer.time", clock)
+    by_clock = replace(
+        RECIPE, steps=None, duration="2.5s", schedule=((0.0, 1.0), (1.0, 0.0)), val_every=10_000
+    )
+    folder = tmp_path / "run"
+    _train(folder, by_clock, max_time="00:00:00:01")
+    half = torch.load(folder / "last.ckpt", weights_only=True)
+    elapsed = half["callbacks"]["Clock"]["time_elapsed"]["train"]
+    assert 0.9 < elapsed < 1.4 and said[-1].endswith("steps; --resume goes on")
+    assert read_recipe(folder / "recipe.json").steps == half["global_step"] > 0
+    assert not read_recipe(folder / "recipe.json").changes(by_clock)
+
+    _train(folder, by_clock, resume=True)
+    whole = torch.load(folder / "last.ckpt", weights_only=True)
+    assert 2.5 <= whole["callbacks"]["Clock"]["time_elapsed"]["train"] < 3
+    steps = whole["global_step"]
+    assert steps > half["global_step"] and said[-1].endswith(f"after {steps} steps")
+    rates = _rates(folder)
+    full = RECIPE.lr / RECIPE.lr_batch
+    assert rates == sorted(rates, reverse=True) and rates[0] > 0.6 * full > rates[-1]
+    assert whole["lr_schedulers"][0]["_last_lr"][0] < 0.2 * full
+
+    # Nothing is left to do.
+    _train(folder, by_clock, resume=True)
+    assert torch.load(folder / "last.ckpt", weights_only=True)["global_step"] == steps
+    # Its recipe without the duration repeats it.
+    again = override(get_recipe(str(folder / "recipe.json")), {"duration": None})
+    assert again.steps == steps
+    assert _train(tmp_path / "again", replace(again, steps=2)).steps == 2
 
 
 def test_a_checkpoint_is_whole_or_absent(tmp_path, monkeypatch):

@@ -12,9 +12,10 @@ from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.nets import IMAGENET
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
-from mobilestereonet.training.batches import TrainingBatch, TrainingPairs
+from mobilestereonet.training.batches import Request, TrainingPairs
 from mobilestereonet.training.losses import distillation_sum
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.pool import PairPool, TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
 from mobilestereonet.training.teacher import Teacher
@@ -142,10 +143,13 @@ def test_clean_views_have_the_same_geometry(kind):
     source = Numbers()
     if kind == "procedural":
         source = ProceduralScenes(SceneConfig(height=40, width=60, length=3, noise_textures=2))
-    crop = AugmentConfig(height=32, width=48, scale=(-0.1, 0.3), vertical_shift=2.0, rotation=3.0)
-    plain = TrainingPairs(source, crop, 3).__getitems__([1, 2]).augmented
+    crop = AugmentConfig(
+        height=32, width=48, scale=(-0.1, 0.3), stretch=0.2, vertical_shift=2.0, rotation=3.0
+    )
+    pairs = TrainingPairs(source, 3)[Request([1, 2], [1, 2], [1, 2], 0)]
+    plain = PairPool(crop, 3).batch(pairs).augmented
     changed = replace(crop, noise=0.2, exposure=(0.2, 0.3))
-    batch = TrainingPairs(source, changed, 3, clean=True).__getitems__([1, 2])
+    batch = PairPool(changed, 3, clean=True).batch(pairs)
     assert batch.clean.left.equal(plain.left) and batch.clean.right.equal(plain.right)
     assert batch.clean.name == batch.augmented.name
     assert (batch.augmented.left - plain.left).abs().mean() > 0.02

@@ -51,7 +51,7 @@ def ablate(
 
     values = options.values
     if steps is not None:
-        values |= {"steps": steps, "epochs": None}
+        values |= {"steps": steps, "epochs": None, "duration": None}
     chosen = override(get_recipe(str(recipe)), values)
     names = list(dict.fromkeys(chosen_names or table_models(table)))
     rows = []

@@ -95,13 +95,16 @@ def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> Callback:
     """Check that a value is one of some names."""
 
     def check(option: str, value: str) -> None:
-        choices = names() if callable(names) else names
-        if value not in choices:
-            near = difflib.get_close_matches(value.lower(), choices, n=1)
-            hint = f"did you mean {near[0]}? There are" if near else "there are"
-            raise InputError(f"{option} {value}: {hint} {', '.join(choices)}")
+        _check_name(option, value, names() if callable(names) else names)
 
     return each(check)
+
+
+def _check_name(option: str, value: str, names: Collection[str]) -> None:
+    if value not in names:
+        near = difflib.get_close_matches(value.lower(), names, n=1)
+        hint = f"did you mean {near[0]}? There are" if near else "there are"
+        raise InputError(f"{option} {value}: {hint} {', '.join(names)}")
 
 
 def ends_in(endings: Sequence[str], what: str) -> Callback:
@@ -161,10 +164,18 @@ def _check_assignment(option: str, text: str) -> None:
     parse_assignments([text])
 
 
+def _check_recipe(option: str, recipe: str) -> None:
+    if recipe.endswith(".json"):
+        _check_file(option, Path(recipe))
+    else:
+        _check_name(option, recipe, RECIPES)
+
+
 existing_file = each(_check_file)
 existing_folder = each(_check_folder)
 weights_file = each(_check_weights)
 network_name = each(check_network)
+recipe_name = each(_check_recipe)
 assignment = each(_check_assignment)
 device_name = matches(_DEVICE, "auto, cpu, cuda or cuda:1")
 

@@ -7,7 +7,13 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from mobilestereonet.cli.early import RECIPES, assignment, existing_file, existing_folder, one_of
+from mobilestereonet.cli.early import (
+    RECIPES,
+    assignment,
+    existing_file,
+    existing_folder,
+    recipe_name,
+)
 
 LeftView: TypeAlias = Annotated[
     Path, typer.Argument(help="Left view of a rectified pair.", callback=existing_file)
@@ -29,7 +35,11 @@ Textures: TypeAlias = Annotated[
 ]
 Recipe: TypeAlias = Annotated[
     str | None,
-    typer.Option(help=f"{', '.join(RECIPES[:-1])} or {RECIPES[-1]}.", callback=one_of(RECIPES)),
+    typer.Option(
+        help=f"{', '.join(RECIPES)}, or another run's recipe.json. Default: procedural, or "
+        "procedural-plain for a network that lacks what that needs.",
+        callback=recipe_name,
+    ),
 ]
 RecipeValues: TypeAlias = Annotated[
     list[str] | None,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,8 @@ class AugmentConfig:
         width: Width of the random crop in pixels; None keeps the whole image.
         scale: Range of the logarithm (base 2) of a resizing before the crop, never below what the
             crop needs. Disparity follows.
+        stretch: Largest logarithm (base 2) of a stretch of the width against the height.
+        stretch_probability: Probability of the stretch.
         vertical_shift: Largest vertical shift of the right view in pixels.
         rotation: Largest rotation of the right view about its centre in degrees.
         exposure: Range of the mean brightness (0..1) to which the pair is brought, as a camera's
@@ -39,6 +40,7 @@ class AugmentConfig:
         hue: Largest change of the joint hue in radians.
         gamma: Largest natural logarithm of the joint gamma.
         view_change: Share of each of the colour changes that is drawn again per view.
+        one_sided: Probability that one of the views has colour changes of its own altogether.
         grey: Probability of a grey pair.
         vignette: Largest darkening of the corners.
         blur: Largest standard deviation of a Gaussian blur in pixels, drawn per view.
@@ -54,6 +56,8 @@ class AugmentConfig:
     height: int | None = None
     width: int | None = None
     scale: tuple[float, float] = (0.0, 0.0)
+    stretch: float = 0.0
+    stretch_probability: float = 0.8
     vertical_shift: float = 0.0
     rotation: float = 0.0
     exposure: tuple[float, float] | None = None
@@ -63,6 +67,7 @@ class AugmentConfig:
     hue: float = 0.0
     gamma: float = 0.0
     view_change: float = 0.0
+    one_sided: float = 0.0
     grey: float = 0.0
     vignette: float = 0.0
     blur: float = 0.0
@@ -79,26 +84,28 @@ class AugmentConfig:
 
 
 def geometry_only(config: AugmentConfig) -> AugmentConfig:
-    """The geometric part of a config: crop, scale and misalignment, without colours and noise.
+    """The geometric part of a config: crop, scale, stretch and misalignment.
 
-    Generators in the same state give the same crops, scales and misalignments under both.
+    Generators in the same state give the same geometry under both.
     """
     return AugmentConfig(
         height=config.height,
         width=config.width,
         scale=config.scale,
+        stretch=config.stretch,
+        stretch_probability=config.stretch_probability,
         vertical_shift=config.vertical_shift,
         rotation=config.rotation,
     )
 
 
 def augment(
-    sample: StereoSample, config: AugmentConfig, generators: Sequence[np.random.Generator]
+    pairs: Sequence[StereoSample], config: AugmentConfig, generators: Sequence[np.random.Generator]
 ) -> StereoSample:
-    """Augment a batch.
+    """Augment pairs, on their device, to a batch.
 
     Args:
-        sample: Batch with images (B, 3, H, W) in 0..1.
+        pairs: B pairs, not batched, of any sizes: images (3, H, W), in 0..1 or as bytes.
         config: Settings.
         generators: One random generator per pair: a pair's augmentation does not depend on the
             batch that it is in.
@@ -107,14 +114,10 @@ def augment(
         Batch of the crop's size, images in 0..1, with disparity and masks to match.
 
     Raises:
-        InputError: If the crop is larger than the image, or pairs are scaled differently and not
-            cropped to one size.
+        InputError: If the crop is larger than an image, or pairs are not cropped to one size.
     """
-    pairs = [
-        _scale_and_crop(sample.map(itemgetter(index)), config, generator)
-        for index, generator in enumerate(generators)
-    ]
-    sample = replace(collate(pairs), name=sample.name)
+    cut = [_cut(pair, config, rng) for pair, rng in zip(pairs, generators, strict=True)]
+    sample = collate(cut)
     if config.vertical_shift or config.rotation:
         sample = _misalign(sample, config, generators)
     views = torch.stack((sample.left, sample.right), dim=1)  # (B, 2, 3, H, W)
@@ -127,24 +130,41 @@ def augment(
     return replace(sample, left=views[:, 0], right=right)
 
 
-def _scale_and_crop(
-    pair: StereoSample, config: AugmentConfig, generator: np.random.Generator
-) -> StereoSample:
-    """Resize and crop one pair, not batched."""
-    if config.scale != (0.0, 0.0):
-        height, width = pair.left.shape[-2:]
-        factor = 2.0 ** generator.uniform(*config.scale)
-        factor = max(factor, (config.height or 1) / height, (config.width or 1) / width)
-        pair = _resize(pair, round(height * factor), round(width * factor))
+def _cut(pair: StereoSample, config: AugmentConfig, generator: np.random.Generator) -> StereoSample:
+    """Cut a window out of one pair and resize it to the crop's size."""
     height, width = pair.left.shape[-2:]
-    rows, columns = config.height or height, config.width or width
-    if rows > height or columns > width:
+    tall, wide = _factors(config, (height, width), generator)
+    rows, columns = config.height or round(height * tall), config.width or round(width * wide)
+    # What the crop shows, in pixels of the pair; all of it where there is no crop.
+    high = min(height, round(rows / tall)) if config.height else height
+    across = min(width, round(columns / wide)) if config.width else width
+    if rows / tall > height + 0.5 or columns / wide > width + 0.5:
         raise InputError(
             f"crop {rows} x {columns} is larger than the image {height} x {width} "
             f"({pair.name or 'unnamed'}): choose a smaller crop"
         )
-    top, start = generator.integers((height - rows + 1, width - columns + 1))
-    return pair.map(lambda value: value[..., top : top + rows, start : start + columns])
+    top, start = generator.integers((height - high + 1, width - across + 1))
+
+    def window(value: Tensor) -> Tensor:
+        part = value[..., top : top + high, start : start + across]
+        return part.float() / 255 if part.dtype == torch.uint8 else part
+
+    pair = pair.map(window)
+    return pair if (high, across) == (rows, columns) else _resize(pair, rows, columns)
+
+
+def _factors(
+    config: AugmentConfig, size: tuple[int, int], generator: np.random.Generator
+) -> tuple[float, float]:
+    """Factors of height and width, no smaller than the crop needs if they are drawn."""
+    if config.scale == (0.0, 0.0) and not config.stretch:
+        return 1.0, 1.0
+    octaves = generator.uniform(*config.scale)
+    stretch, chance = generator.uniform(-config.stretch, config.stretch), generator.uniform()
+    half = 0.5 * stretch * (chance < config.stretch_probability)
+    tall, wide = 2.0 ** (octaves - half), 2.0 ** (octaves + half)
+    least = max((config.height or 0) / size[0] / tall, (config.width or 0) / size[1] / wide, 1.0)
+    return tall * least, wide * least
 
 
 def _resize(pair: StereoSample, height: int, width: int) -> StereoSample:
@@ -230,6 +250,10 @@ def _colour(
     """Brightness, contrast, saturation, hue, gamma: joint, plus a share per view."""
     drawn = _draw(generators, (3, 5), views)  # joint, left, right
     change = drawn[:, :1] + config.view_change * drawn[:, 1:]  # (B, 2, 5)
+    if config.one_sided:
+        side, chance = (_draw(generators, (2,), views) / 2 + 0.5).unbind(1)
+        own = torch.stack((side < 0.5, side >= 0.5), 1) & (chance < config.one_sided)[:, None]
+        change = torch.where(own[..., None], drawn[:, 1:], change)
     limits = (config.brightness, config.contrast, config.saturation, config.hue, config.gamma)
     if not any(limits):
         return views
@@ -275,11 +299,17 @@ def _sensor(
         flat = gaussian_blur2d(flat, size, sigma[:, None].expand(-1, 2))
     if config.noise:
         deviation = config.noise * amount[:, 3]
-        shape = (2, 3, height, width)
-        drawn_grain = np.stack([g.standard_normal(shape, dtype=np.float32) for g in generators])
-        grain = torch.as_tensor(drawn_grain, device=views.device).flatten(0, 1)
-        flat = flat + deviation[:, None, None, None] * grain
+        flat = flat + deviation[:, None, None, None] * _grain(views, generators).flatten(0, 1)
     return flat.clamp(0, 1).view_as(views)
+
+
+def _grain(views: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
+    """Normal random numbers of the views' shape, drawn on their device."""
+    grain = torch.empty_like(views)
+    for of_pair, generator in zip(grain, generators, strict=True):
+        source = torch.Generator(views.device).manual_seed(int(generator.integers(2**63)))
+        of_pair.normal_(generator=source)
+    return grain
 
 
 def _patch(

@@ -157,7 +157,8 @@ def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
 def ablation_table(rows: Sequence[AblationRow], recipe: Recipe) -> Table:
     """The rows beside the paper's figures, with what such a comparison can tell."""
     printed = {row.name: row.errors for table in paper_tables() for row in table.rows}
-    length = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
+    counted = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
+    length = recipe.duration or counted
     table = Table(
         title=f"{length} of {recipe.batch_size} pairs on {recipe.data}, "
         f"scored on {rows[0].pairs if rows else 0} pairs",

@@ -41,7 +41,9 @@ class Appearance:
         base: Colour that does not vary, (3, n).
         gain: Factor on the texture's bytes, (3, n).
         gloss: Strength of the highlight, (n,).
+        mirror: Share of the light that is mirrored, seen head-on, (n,).
         light: One row per scene: the camera and the lamp, (B, 22).
+        surroundings: Index of the texture that mirrors show, (B,).
     """
 
     curved: Tensor
@@ -56,7 +58,9 @@ class Appearance:
     base: Tensor
     gain: Tensor
     gloss: Tensor
+    mirror: Tensor
     light: Tensor
+    surroundings: Tensor
 
 
 def _light_row(scene: Scene, size: tuple[int, int]) -> list[float]:
@@ -99,5 +103,7 @@ def gather_appearance(
         base=(colour * bank.means[texture].T * (1 - contrast)).contiguous(),
         gain=(colour * contrast / 255).contiguous(),
         gloss=to_device(concat_field(scenes, "gloss"), device),
+        mirror=to_device(concat_field(scenes, "mirror"), device),
         light=to_device(np.array([_light_row(scene, size) for scene in scenes]), device),
+        surroundings=to_device(np.array([scene.surroundings for scene in scenes]), device),
     )

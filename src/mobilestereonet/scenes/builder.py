@@ -59,6 +59,7 @@ class SceneBuilder:
         pitch: Range of the camera's pitch (down is positive), in radians.
         objects: Range of the number of floating objects in a scene of clutter.
         textureless: Probability that a large near surface has next to no texture.
+        mirrors: Probability that a surface mirrors its surroundings.
         noise: Number of noise textures in the bank.
         photographs: Number of photographs in the bank.
         masks: Number of masks.
@@ -74,6 +75,7 @@ class SceneBuilder:
         objects: tuple[int, int],
         *,
         textureless: float,
+        mirrors: float,
         noise: int,
         photographs: int,
         masks: int,
@@ -98,7 +100,8 @@ class SceneBuilder:
         self.rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt
         self.lamp: Floats | None = None  # in the world frame; drawn if a layout sets none
         self.parts: list[_Part] = []
-        self._materials = MaterialStock(rng, self.focal, noise, photographs)
+        self._materials = MaterialStock(rng, self.focal, noise, photographs, mirrors)
+        self.surroundings = self._materials.draw_surroundings()
 
     def log_uniform(self, low: float, high: float, size: Any = None) -> Any:
         """Draw numbers whose logarithm is uniform; the bounds may come in either order."""
@@ -254,4 +257,5 @@ class SceneBuilder:
             brightness=rng.uniform(0.2, 0.48),
             surfaces=self._surfaces(),
             kind=kind,
+            surroundings=self.surroundings,
         )

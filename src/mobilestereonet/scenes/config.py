@@ -32,6 +32,10 @@ class SceneConfig:
         objects: Range of the number of floating objects in a scene of clutter; fewer indoors.
         textureless: Probability that a large near surface (a box's faces and a room's walls one
             by one) has next to no texture. It changes the textures' positions and the light, too.
+        background: Probability that many things stand far away, before the backdrop.
+        floating: Probability that many small things float everywhere.
+        mirrors: Probability that a surface mirrors its surroundings, as metal or glass does.
+        reliefs: Share of scenes that are a photograph on a relief instead of a layout.
         kinds: Weight of each layout.
         noise_textures: Number of noise textures.
         texture_size: Side of a texture in texels, a power of two.
@@ -46,6 +50,10 @@ class SceneConfig:
     rays: int = 2
     objects: tuple[int, int] = (20, 60)
     textureless: float = 0.0
+    background: float = 0.0
+    floating: float = 0.0
+    mirrors: float = 0.0
+    reliefs: float = 0.0
     kinds: Mapping[str, float] = field(
         default_factory=lambda: {
             "room": 0.25,
@@ -78,8 +86,9 @@ class SceneConfig:
             raise InputError(
                 f"scenes: objects must be a range of counts up to {MAX_OBJECTS}, got {self.objects}"
             )
-        if not 0 <= self.textureless <= 1:
-            raise InputError(f"scenes: textureless must be from 0 to 1, got {self.textureless}")
+        for name in ("textureless", "background", "floating", "mirrors", "reliefs"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"scenes: {name} must be from 0 to 1, got {getattr(self, name)}")
         if self.rays not in (1, 2):
             raise InputError(f"scenes: rays must be 1 or 2, got {self.rays}")
         if self.texture_size & (self.texture_size - 1) or self.texture_size < 2:

@@ -17,7 +17,10 @@ from mobilestereonet.scenes.builder import SceneBuilder
 from mobilestereonet.scenes.config import SceneConfig
 from mobilestereonet.scenes.layouts import LAYOUTS
 from mobilestereonet.scenes.masks import MASK_KINDS, make_masks
+from mobilestereonet.scenes.materials import log_uniform
 from mobilestereonet.scenes.noise import make_noise
+from mobilestereonet.scenes.objects import add_background_things, add_floating_things
+from mobilestereonet.scenes.relief import render_relief
 from mobilestereonet.scenes.render import render_scenes
 from mobilestereonet.scenes.scene import Scene
 from mobilestereonet.scenes.textures import TextureBank, read_photographs
@@ -86,12 +89,30 @@ class ProceduralScenes(Dataset[StereoSample]):
             layout.pitch,
             self.config.objects,
             textureless=config.textureless,
+            mirrors=config.mirrors,
             noise=self._bank.noise,
             photographs=self._bank.photographs,
             masks=len(self._masks),
         )
         layout.fill(build)
+        if config.background and rng.random() < config.background:
+            add_background_things(build)
+        if config.floating and rng.random() < config.floating:
+            add_floating_things(build)
         return build.scene(kind, layout.outdoors)
+
+    def _relief(self, index: int) -> tuple[Tensor, Tensor, Tensor] | None:
+        """Views, disparity and occlusion of a scene that is a photograph on a relief."""
+        config = self.config
+        # A stream beside that of the scene: without reliefs a scene is the same.
+        stream = self._generator(index).bit_generator.jumped(2)  # type: ignore[attr-defined]
+        rng = np.random.Generator(stream)
+        if rng.random() >= config.reliefs:
+            return None
+        highest = log_uniform(rng, config.min_disparity, config.max_disparity)
+        lowest = highest * rng.uniform(0.05, 0.6)
+        size = (config.height, config.width)
+        return render_relief(rng, size, (lowest, highest), self._bank)
 
     def batch(self, indices: Sequence[int]) -> StereoSample:
         """Render scenes together.
@@ -102,12 +123,17 @@ class ProceduralScenes(Dataset[StereoSample]):
         Returns:
             A batched sample: images (B, 3, H, W), maps (B, H, W), on the scenes' device.
         """
-        scenes = [self.scene(int(index)) for index in indices]
         config = self.config
+        size = (config.height, config.width)
         with torch.no_grad():
-            images, disparity, occluded = render_scenes(
-                scenes, (config.height, config.width), config.rays, self._bank, self._masks
-            )
+            shown = {int(index): self._relief(int(index)) for index in indices}
+            others = [index for index, relief in shown.items() if relief is None]
+            if others:
+                scenes = [self.scene(index) for index in others]
+                views = render_scenes(scenes, size, config.rays, self._bank, self._masks)
+                shown |= dict(zip(others, zip(*views, strict=True), strict=True))
+        found = [relief for index in indices if (relief := shown[int(index)]) is not None]
+        images, disparity, occluded = (torch.stack(maps) for maps in zip(*found, strict=True))
         valid = disparity > 0
         return StereoSample(
             left=images[:, 0].contiguous(),
@@ -119,15 +145,17 @@ class ProceduralScenes(Dataset[StereoSample]):
         )
 
     def __getitem__(self, index: int) -> StereoSample:
-        """One scene, not batched, with its calibration."""
+        """One scene, not batched, with its calibration; a relief has none."""
         if not 0 <= index < len(self):
             raise IndexError(f"scene {index} of {len(self)}")
-        scene = self.scene(index)
         sample = self.batch([index])
         first: dict[str, Any] = {
             item.name: value[0]
             for item in fields(sample)
             if isinstance(value := getattr(sample, item.name), Tensor)
         }
-        calibration = Calibration(scene.focal, scene.baseline, 0.0, scene.cx, scene.cy)
-        return replace(sample, **first, calibration=calibration)
+        if self._relief(index) is None:
+            scene = self.scene(index)
+            camera = Calibration(scene.focal, scene.baseline, 0.0, scene.cx, scene.cy)
+            first["calibration"] = camera
+        return replace(sample, **first)

@@ -30,6 +30,7 @@ class Material:
         colour: Factor on the texture's colour, (n, 3).
         contrast: Factor on the texture's departure from its mean, (n,).
         gloss: Strength of the highlight, (n,).
+        mirror: Share of the light that it mirrors, seen head-on, (n,).
     """
 
     texture: Ints
@@ -38,6 +39,7 @@ class Material:
     colour: Floats
     contrast: Floats
     gloss: Floats
+    mirror: Floats
 
     def __getitem__(self, which: Any) -> Material:
         """Copy of the material of some of the surfaces."""
@@ -52,12 +54,20 @@ class MaterialStock:
         focal: Focal length in pixels: textures have about a texel per pixel.
         noise: Number of noise textures in the bank.
         photographs: Number of photographs in the bank.
+        mirrors: Probability that a surface mirrors its surroundings.
     """
 
     def __init__(
-        self, rng: np.random.Generator, focal: float, noise: int, photographs: int
+        self,
+        rng: np.random.Generator,
+        focal: float,
+        noise: int,
+        photographs: int,
+        mirrors: float = 0.0,
     ) -> None:
-        self._rng, self._focal = rng, focal
+        self._rng, self._focal, self._mirrors = rng, focal, mirrors
+        # A stream of their own: without mirrors a scene is the same.
+        self._mirror_rng = np.random.Generator(rng.bit_generator.jumped())  # type: ignore[attr-defined]
         self._noise, self._photographs = noise, photographs
         self._refill()
 
@@ -79,10 +89,27 @@ class MaterialStock:
             colour=log_uniform(rng, 0.55, 1.6, (count, 1)) * (1 + tint),
             contrast=contrast,
             gloss=np.where(shiny, rng.uniform(0.05, 0.4, count), 0.0),
+            mirror=np.zeros(count),
         )
+        if self._mirrors:
+            self._make_mirrors(self._stock)
         self._photograph = self._noise + rng.integers(0, max(self._photographs, 1), count)
         self._choice = rng.random(count) if self._photographs else np.ones(count)
         self._used = 0
+
+    def draw_surroundings(self) -> int:
+        """Draw the texture that mirrors show."""
+        return int(self._mirror_rng.integers(self._noise + self._photographs))
+
+    def _make_mirrors(self, material: Material) -> None:
+        """Turn some of the materials into metal, plain and bright, or glass, dark."""
+        rng, count = self._mirror_rng, len(material.gloss)
+        chosen, metal = rng.random(count) < self._mirrors, rng.random(count) < 0.5
+        share = np.where(metal, rng.uniform(0.3, 0.8, count), rng.uniform(0.06, 0.2, count))
+        material.mirror = np.where(chosen, share, 0.0)
+        material.contrast = np.where(chosen & metal, 0.2, 1.0) * material.contrast
+        material.colour = np.where(chosen & ~metal, 0.4, 1.0)[:, None] * material.colour
+        material.gloss = np.where(chosen, rng.uniform(0.3, 1.0, count), material.gloss)
 
     def draw(self, count: int, depth: ArrayLike, kind: int | None = None) -> Material:
         """Draw materials of surfaces that are seen from ``depth`` metres.

@@ -80,12 +80,31 @@ def add_floating_objects(build: SceneBuilder, lowest: float, *, share: float) ->
         lowest: Disparity of the farthest, in pixels.
         share: Their number over that in a scene of clutter.
     """
-    rng, highest = build.rng, build.nearest
-    count = round(share * rng.integers(build.objects[0], build.objects[1] + 1))
+    count = round(share * build.rng.integers(build.objects[0], build.objects[1] + 1))
+    _add_shapes(build, count, lowest, build.nearest, (5, 0.22 * build.width))
+
+
+def add_background_things(build: SceneBuilder) -> None:
+    """Add many things far away, at a thirtieth to a third of the nearest objects' disparity."""
+    low, high = 0.03 * build.nearest, 0.3 * build.nearest
+    _add_shapes(build, int(build.rng.integers(40, 121)), low, high, (4, 0.08 * build.width))
+
+
+def add_floating_things(build: SceneBuilder) -> None:
+    """Add many small things, densely, in mid-air at all distances."""
+    count = int(build.rng.integers(80, 251))
+    _add_shapes(build, count, 0.05 * build.nearest, build.nearest, (2.5, 0.05 * build.width))
+
+
+def _add_shapes(
+    build: SceneBuilder, count: int, lowest: float, highest: float, radii: tuple[float, float]
+) -> None:
+    """Add objects of every shape, of disparities and of radii (px) within bounds."""
+    rng = build.rng
     for kind, number in enumerate(rng.multinomial(count, [0.2, 0.25, 0.2, 0.2, 0.15])):
         centre = build.positions_in_view(number, lowest, highest)
         depth = build.depths(centre)
-        radius = build.log_uniform(5, 0.22 * build.width, number) * depth / build.focal
+        radius = build.log_uniform(*radii, number) * depth / build.focal
         half = np.minimum(radius, 0.35 * depth)[:, None] * build.log_uniform(0.35, 1, (number, 3))
         axes = scale_axes(build.random_rotations(number), half)
         material = build.draw_materials(number, depth)

@@ -38,6 +38,7 @@ class Surfaces:
         colour: Factor on the texture's colour, (n, 3).
         contrast: Factor on the texture's departure from its mean, (n,).
         gloss: Strength of the highlight, (n,).
+        mirror: Share of the light that it mirrors, seen head-on, (n,).
     """
 
     shape: Ints
@@ -53,6 +54,7 @@ class Surfaces:
     colour: Floats
     contrast: Floats
     gloss: Floats
+    mirror: Floats
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Scene:
         brightness: Geometric mean of the images, as an automatic exposure would set it.
         surfaces: Its surfaces.
         kind: Name of the layout.
+        surroundings: Index of the texture that mirrors show.
     """
 
     focal: float
@@ -90,3 +93,4 @@ class Scene:
     brightness: float
     surfaces: Surfaces
     kind: str
+    surroundings: int = 0

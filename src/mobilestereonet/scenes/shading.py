@@ -12,6 +12,9 @@ from mobilestereonet.scenes.appearance import Appearance
 from mobilestereonet.scenes.projection import ProjectedSurfaces
 from mobilestereonet.scenes.textures import TextureBank
 
+MIRRORED_TEXTURES = 1.5
+"""Textures, beside each other, that make up half of the surroundings of a mirror."""
+
 # Rays shaded at once on the CPU: the working set stays in the cache.
 CPU_BLOCK_RAYS = 1 << 16
 
@@ -25,6 +28,7 @@ class Rays:
     disparity: Tensor  # (b, 2, h, W)
     surface: Tensor  # (b, 2, h, W)
     light: Tensor  # (b, 22)
+    surroundings: Tensor  # (b,)
     lamp: tuple[Tensor, Tensor]  # the lamp's view: disparity and surface, (b, H, W)
 
 
@@ -135,6 +139,40 @@ def _texels_and_normals(
     return texel, normal
 
 
+def _mirror_surroundings(
+    image: Tensor,
+    mirror: Tensor,
+    look: Sequence[Tensor],
+    normal: Sequence[Tensor],
+    level: Tensor,
+    bank: TextureBank,
+    rays: Rays,
+) -> None:
+    """Mix what mirrors show into the image (3, b, 2, h, W).
+
+    The surroundings are infinitely far away: what is seen of them depends on the direction alone
+    into which a surface throws a ray back, so it moves over the surface from view to view. At
+    grazing angles everything mirrors (Schlick's approximation of Fresnel's equations).
+    """
+    where = torch.nonzero(mirror.flatten())[:, 0]
+    scene = where // (mirror.numel() // len(mirror))
+
+    def pick(values: Tensor) -> Tensor:
+        return values.flatten().index_select(0, where)
+
+    ray, across = [pick(part) for part in look], [pick(part) for part in normal]
+    facing = _dot(ray, across)
+    x, y, z = (a - 2 * facing * b for a, b in zip(ray, across, strict=True))
+    share = pick(mirror)
+    share = share + (1 - share) * (1 - facing.abs()).clamp_min(0) ** 5
+    scale = MIRRORED_TEXTURES * bank.size / (1 + z.abs())
+    seen = bank.sample(rays.surroundings[scene], x * scale, y * scale, pick(level)) / 255
+    ambient, diffuse = rays.light[scene, 7], rays.light[scene, 8]
+    seen = seen * (ambient + diffuse)
+    for channel, shown in zip(image.view(3, -1), seen, strict=True):
+        channel[where] = torch.lerp(channel[where], shown, share)
+
+
 def shade(
     projected: ProjectedSurfaces,
     appearance: Appearance,
@@ -178,13 +216,19 @@ def shade(
     colour = bank.sample(
         texture, texel[0].flatten(), texel[1].flatten(), footprint.log2().flatten() + coarser
     )
-    return torch.stack(
+    image = torch.stack(
         [
             (pick(appearance.base[i]) + pick(appearance.gain[i]) * colour[i].view(shape)) * shading
-            + highlight
             for i in range(3)
         ]
     )
+    mirror = pick(appearance.mirror)
+    if mirror.any():
+        look = [component * to_eye for component in from_eye]
+        coarse = 2.0 * pick(appearance.curved)  # a curved one shows them smaller
+        _mirror_surroundings(image, mirror, look, normal, coarse, bank, rays)
+    image += highlight
+    return image
 
 
 def shade_images(
@@ -233,6 +277,7 @@ def shade_images(
             disparity=disparity[part, :, rows].clamp_min(1e-4),
             surface=surface[part, :, rows].contiguous(),
             light=appearance.light[part],
+            surroundings=appearance.surroundings[part],
             lamp=(lamp[0][part], lamp[1][part]),
         )
         image[:, part, :, rows] = shade(projected, appearance, bank, rays, coarser)

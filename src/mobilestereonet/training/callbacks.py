@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import timedelta
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -79,12 +80,13 @@ class LastCheckpoint(Checkpoint):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Say where a resumed run goes on."""
         if trainer.global_step:
-            rank_zero_info(f"Going on after step {trainer.global_step} of {trainer.max_steps}")
+            length = f" of {trainer.max_steps}" if trainer.max_steps > 0 else ""
+            rank_zero_info(f"Going on after step {trainer.global_step}{length}")
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
         """Write it, if it is time."""
         step = trainer.global_step
-        if step % self.every == 0 or step >= trainer.max_steps or trainer.should_stop:
+        if step % self.every == 0 or step == trainer.max_steps or trainer.should_stop:
             trainer.save_checkpoint(self.path, weights_only=False)
 
 
@@ -93,6 +95,22 @@ class TimeLimit(Timer):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Start from zero."""
+
+
+class Clock(Timer):
+    """Time in training, over all starts of a run, which ends when its duration is over.
+
+    Args:
+        seconds: The duration.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(timedelta(seconds=seconds), verbose=False)
+        self.seconds = seconds
+
+    def share(self) -> float:
+        """Share of the duration that is over, 0..1."""
+        return min(1.0, self.time_elapsed() / self.seconds)
 
 
 class StopWhenAsked(Callback):
@@ -119,7 +137,7 @@ class ProgressBar(TQDMProgressBar):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Begin at the current step."""
         super().on_train_start(trainer, pl_module)
-        self.train_progress_bar.reset(trainer.max_steps)
+        self.train_progress_bar.reset(trainer.max_steps if trainer.max_steps > 0 else None)
         self.train_progress_bar.initial = trainer.global_step
 
 

@@ -16,7 +16,8 @@ from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.scenes import ProceduralScenes
 from mobilestereonet.scenes.textures import find_photographs
-from mobilestereonet.training.batches import PositionBatches, TrainingBatch, TrainingPairs
+from mobilestereonet.training.batches import StepRequests, TrainingPairs, Uses
+from mobilestereonet.training.pool import Delivery, PairPool
 from mobilestereonet.training.recipe import Recipe
 
 with needs_extra("train"):
@@ -106,29 +107,32 @@ class RunData(L.LightningDataModule):
         assert self.trainer is not None
         return self.workers > 0 and self.trainer.strategy.root_device.type == "cuda"
 
-    def train_dataloader(self) -> DataLoader[TrainingBatch]:
-        """Batches from the current step on."""
-        trainer = self.trainer
+    def train_dataloader(self) -> DataLoader[Delivery]:
+        """What the steps from the current one on take, for `on_after_batch_transfer`."""
+        trainer, recipe = self.trainer, self.recipe
         assert trainer is not None
+        self._pool = PairPool(recipe.augment, recipe.seed, clean=recipe.teacher is not None)
+        requests = StepRequests(
+            lambda: trainer.global_step,
+            trainer.max_steps if trainer.max_steps > 0 else None,
+            recipe.batch_size,
+            Uses(recipe.uses, recipe.pool),
+            trainer.global_rank,
+            trainer.world_size,
+        )
         return DataLoader(
-            TrainingPairs(
-                self.train_source,
-                self.recipe.augment,
-                self.recipe.seed,
-                clean=self.recipe.teacher is not None,
-            ),
-            batch_sampler=PositionBatches(
-                lambda: trainer.global_step,
-                trainer.max_steps,
-                self.recipe.batch_size,
-                trainer.global_rank,
-                trainer.world_size,
-            ),
+            TrainingPairs(self.train_source, recipe.seed),
+            sampler=requests,
+            batch_size=None,
             num_workers=self.workers,
             pin_memory=self._pins,
             worker_init_fn=_ignore_sigint,
             collate_fn=_identity,
         )
+
+    def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
+        """Make the training batch, on the training device; others stay as they are."""
+        return self._pool.batch(batch) if isinstance(batch, Delivery) else batch
 
     def val_dataloader(self) -> DataLoader[StereoSample]:
         """Validation pairs one by one, shared out over the ranks."""

@@ -24,9 +24,10 @@ from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
 from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.plots import colour_disparity, error_map
-from mobilestereonet.training.batches import TrainingBatch
+from mobilestereonet.training.callbacks import Clock
 from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.objective import Objective, Part
+from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
 
@@ -48,11 +49,14 @@ class StereoModule(L.LightningModule):
 
     Args:
         recipe: The recipe.
-        steps: Length of the run in steps.
+        steps: Length of the run in steps; not used with a clock.
         global_batch: Pairs per step over all devices; the learning rate grows with it.
+        clock: Gives the share of the run that is over, where its length is a duration.
     """
 
-    def __init__(self, recipe: Recipe, steps: int, global_batch: int) -> None:
+    def __init__(
+        self, recipe: Recipe, steps: int, global_batch: int, clock: Clock | None = None
+    ) -> None:
         super().__init__()
         torch.manual_seed(recipe.seed)
         self.net = build_model(recipe.model, **recipe.net)
@@ -69,6 +73,7 @@ class StereoModule(L.LightningModule):
         self.val_metrics = StereoMetrics(self.net.max_disparity)
         self.recipe = recipe
         self.steps = steps
+        self.clock = clock
         self.lr = recipe.lr * global_batch / recipe.lr_batch
         self.skipped: Tensor
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
@@ -182,11 +187,17 @@ class StereoModule(L.LightningModule):
         self.val_metrics.reset()
         self.log_dict(scores.figures("val/"), rank_zero_only=True)
 
+    def share(self, step: int) -> float:
+        """Share of the run (0..1) that is over at a step, the same in all processes."""
+        if self.clock is None:
+            return step / self.steps
+        return float(self.trainer.strategy.broadcast(self.clock.share()))
+
     def configure_optimizers(self) -> Any:
         """The recipe's optimizer, its learning rate by the recipe's schedule at every step."""
         optimizer = _OPTIMIZERS[self.recipe.optimizer](self.net.parameters(), lr=self.lr)
         schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: self.recipe.lr_factor(step / self.steps)
+            optimizer, lambda step: self.recipe.lr_factor(self.share(step))
         )
         return {
             "optimizer": optimizer,

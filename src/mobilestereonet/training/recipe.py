@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -56,9 +57,18 @@ class Recipe:
         scenes: What procedural scenes look like, their size and seed.
         val_scenes: Procedural scenes to validate on.
         augment: Random crop and augmentation.
+        uses: How often each pair that was read or rendered is trained on, each time with another
+            crop and augmentation.
+        pool: Pairs in use at a time, held in the training device's memory, 11 bytes a pixel. On
+            several devices each pair is rendered for one of them if this is a multiple of the
+            global batch and ``batch_size`` one of ``uses``.
         batch_size: Pairs per device and step.
-        epochs: Length of the run in passes over the data; None where ``steps`` says it.
-        steps: Length of the run in steps; None where ``epochs`` says it.
+        epochs: Length of the run, in as many pairs as the data set has; None where ``steps`` or
+            ``duration`` says it.
+        steps: Length of the run in steps; None where ``epochs`` says it. A run with a ``duration``
+            writes here how many it took: without the duration the recipe repeats it.
+        duration: Length of the run by the clock, such as "90s", "12m" or "1.5h"; the schedule
+            follows the time in training, which a resumed run keeps.
         optimizer: "adam", as in the paper, or "muon" (see `training.muon`), which learns more from
             as many steps.
         lr: Learning rate at a global batch (all devices) of ``lr_batch`` pairs. It grows
@@ -106,9 +116,12 @@ class Recipe:
     scenes: SceneConfig = field(default_factory=SceneConfig)
     val_scenes: int = 16
     augment: AugmentConfig = field(default_factory=AugmentConfig)
+    uses: int = 1
+    pool: int = 256
     batch_size: int = 8
     epochs: int | None = None
     steps: int | None = None
+    duration: str | None = None
     optimizer: str = "adam"
     lr: float = 1e-3
     lr_batch: int = 8
@@ -128,13 +141,20 @@ class Recipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if (self.epochs is None) == (self.steps is None):
+        if self.duration is not None and self.epochs is not None:
+            raise InputError(
+                f"a recipe needs either epochs or a duration, got epochs={self.epochs} and "
+                f"duration={self.duration}: set one of them to null"
+            )
+        if self.duration is None and (self.epochs is None) == (self.steps is None):
             raise InputError(
                 f"a recipe needs either epochs or steps, got epochs={self.epochs} and "
                 f"steps={self.steps}: set one of them to null"
             )
+        if self.seconds is not None and self.seconds <= 0:
+            raise InputError(f"recipe: duration must be positive, got {self.duration}")
         positive = ("batch_size", "lr", "lr_batch", "full_heads", "val_every", "save_every")
-        for name in (*positive, "val_scenes", "epochs", "steps", "clip", "distil"):
+        for name in (*positive, "val_scenes", "uses", "pool", "epochs", "steps", "clip", "distil"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
@@ -161,6 +181,23 @@ class Recipe:
                 f"got {self.schedule}"
             )
 
+    @property
+    def seconds(self) -> float | None:
+        """Length of a run by the clock.
+
+        Raises:
+            InputError: If the duration cannot be read.
+        """
+        if self.duration is None:
+            return None
+        found = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", self.duration)
+        if found is None:
+            raise InputError(
+                f"recipe: duration must be a number with s, m or h, such as 12m, got "
+                f"{self.duration!r}"
+            )
+        return float(found[1]) * {"s": 1, "m": 60, "h": 3600}[found[2]]
+
     def lr_factor(self, share: float) -> float:
         """Factor of the learning rate after ``share`` (0..1) of the run."""
         positions, factors = zip(*self.schedule, strict=True)
@@ -179,9 +216,11 @@ class Recipe:
         return dataclasses.replace(self, **given)  # type: ignore[arg-type]
 
     def changes(self, now: Recipe) -> str:
-        """Values in which ``now`` differs, in words; files may have moved."""
+        """Values in which ``now`` differs, in words; files may have moved, a clock counts steps."""
         changed = differences(self, now)
         moved = {name for name in _LOCATIONS if getattr(self, name) and getattr(now, name)}
+        if self.duration is not None and now.duration is not None:
+            moved.add("steps")
         return ", ".join(
             f"{name} {old} -> {new}" for name, (old, new) in changed.items() if name not in moved
         )
@@ -208,11 +247,14 @@ RECIPES = _named_recipes()
 
 
 def get_recipe(name: str) -> Recipe:
-    """A named recipe.
+    """A recipe by its name, or a run's by the path of its ``recipe.json``.
 
     Raises:
-        InputError: If the name is unknown.
+        FileNotFoundError: If there is no such file.
+        InputError: If the name is unknown, or the file is no recipe.
     """
+    if name.endswith(".json"):
+        return read_recipe(Path(name))
     if name not in RECIPES:
         raise InputError(f"unknown recipe {name!r}: choose one of {', '.join(RECIPES)}")
     return RECIPES[name]

@@ -8,7 +8,7 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -23,6 +23,7 @@ from mobilestereonet.nets import is_model, model_config, model_name
 from mobilestereonet.settings import differences
 from mobilestereonet.training.callbacks import (
     AtomicCheckpoints,
+    Clock,
     LastCheckpoint,
     ProgressBar,
     StopWhenAsked,
@@ -61,7 +62,8 @@ def train(
 
     ``folder`` gets ``recipe.json``, ``last.ckpt``, ``csv/version_*/metrics.csv`` and
     ``tensorboard`` (a version for each start) and, at the end, when time is up or after Ctrl-C,
-    ``weights.safetensors`` (averaged where the recipe has an average).
+    ``weights.safetensors`` (averaged where the recipe has an average); ``recipe.json`` then also
+    holds the steps of a run by the clock.
 
     On GPUs the ranks' batch norms are synchronised; on CPUs, which torch's SyncBatchNorm refuses,
     each rank normalises its own batch, and the statistics of the first one are kept.
@@ -101,8 +103,9 @@ def train(
     before = _recipe_before(recipe, folder, last, resume)
     data = RunData(recipe, workers)
     global_batch = recipe.batch_size * ranks
-    steps = recipe.steps or _steps(recipe, data, global_batch)
-    module = StereoModule(recipe, steps, global_batch)
+    steps = _steps(recipe, data, global_batch)
+    clock = None if recipe.seconds is None else Clock(recipe.seconds)
+    module = StereoModule(recipe, steps, global_batch, clock)
     if recipe.weights is not None and not resume:
         _load_initial(module, recipe.weights)
     cuda = accelerator != "cpu" and torch.cuda.is_available()
@@ -112,6 +115,7 @@ def train(
     with _quiet_lightning():
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
         callbacks += [StopWhenAsked(stop)]
+        callbacks += [clock] if clock else []
         callbacks += [average] if average else []
         callbacks += [ProgressBar()] if progress else []
         trainer = _trainer(
@@ -130,8 +134,7 @@ def train(
         if trainer.is_global_zero:
             if changed := before.changes(recipe):
                 rank_zero_info(f"Not an exact continuation, the recipe has changed: {changed}")
-            text = recipe.to_json() + "\n"
-            write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
+            _write_recipe(recipe, folder)
         if global_batch != recipe.lr_batch:
             rank_zero_info(
                 f"Learning rate scaled by the global batch: {recipe.lr:g} x {global_batch} / "
@@ -142,16 +145,25 @@ def train(
     if average is not None:
         # Lightning does it as well, but not where a resumed run had no step left.
         average.on_train_end(trainer, module)
+    done = trainer.global_step
+    is_over = clock.share() == 1 if clock else done >= steps
     if trainer.is_global_zero:
         save_weights(module.net, folder / "weights.safetensors")
-    done = trainer.global_step
+        if clock:
+            _write_recipe(replace(recipe, steps=done), folder)
     rank_zero_info(
-        f"{folder / 'weights.safetensors'}: {recipe.model} after {done} of {steps} steps"
-        + ("" if done >= steps else "; --resume goes on")
+        f"{folder / 'weights.safetensors'}: {recipe.model} after {done} "
+        + ("steps" if clock else f"of {steps} steps")
+        + ("" if is_over else "; --resume goes on")
     )
-    if stop.is_set() and done < steps and trainer.is_global_zero:
+    if stop.is_set() and not is_over and trainer.is_global_zero:
         raise KeyboardInterrupt
     return module
+
+
+def _write_recipe(recipe: Recipe, folder: Path) -> None:
+    text = recipe.to_json() + "\n"
+    write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
 
 
 def _recipe_before(recipe: Recipe, folder: Path, last: Path, resume: bool) -> Recipe:
@@ -186,10 +198,10 @@ def _trainer(
         return L.Trainer(
             max_steps=steps,
             max_epochs=-1,
-            val_check_interval=min(recipe.val_every, steps),
+            val_check_interval=recipe.val_every if steps < 0 else min(recipe.val_every, steps),
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
-            log_every_n_steps=min(10, steps),
+            log_every_n_steps=10 if steps < 0 else min(10, steps),
             use_distributed_sampler=False,
             enable_model_summary=False,
             callbacks=[*callbacks[:1], TimeLimit(max_time), *callbacks[1:]],
@@ -258,7 +270,11 @@ def _misfit(config: Any, module: StereoModule) -> str:
 
 
 def _steps(recipe: Recipe, data: RunData, global_batch: int) -> int:
-    """Steps of a recipe that counts in passes over its data."""
+    """Steps of a run; -1, as Lightning has it, if it ends by the clock."""
+    if recipe.duration is not None:
+        return -1
+    if recipe.steps is not None:
+        return recipe.steps
     pairs = len(data.training("cpu"))  # type: ignore[arg-type]
     assert recipe.epochs is not None
     return max(1, recipe.epochs * pairs // global_batch)
