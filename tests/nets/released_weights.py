@@ -14,19 +14,21 @@ OUTPUTS = np.load(REPOSITORY / "tests/data/peers_every3.npz")
 
 _RESIDUALS = (r"layer\d+\.\d+\.conv2\.1\.(weight|bias)$", 0.2)
 _REDUCED = (r"lastconv\.2\.weight$", 0.1)
+_GWCNET = [_RESIDUALS, (r"^classif\d\.2\.weight$", 0.1)]
+_GANET = [(r"conv32x1\.weight$", 100.0)]
 FACTORS = {
     "psmnet": [_RESIDUALS, _REDUCED],
     "psmnet-basic": [_RESIDUALS, _REDUCED, (r"^dres[1-4]\.2\.1\.(weight|bias)$", 0.5)],
-    **dict.fromkeys(
-        ["gwcnet-g", "gwcnet-gc", "gwcnet-gc-base"],
-        [_RESIDUALS, (r"^classif\d\.2\.weight$", 0.1)],
-    ),
+    "gwcnet-g": _GWCNET,
+    "gwcnet-gc": _GWCNET,
+    "gwcnet-gc-base": _GWCNET,
     "gcnet": [
         (r"^res_block\.\d+\.bn2\.(weight|bias)$", 0.2),
         (r"^conv1\.weight$", 0.5),
         (r"^deconv5\.weight$", 0.3),
     ],
-    **dict.fromkeys(["ganet-11", "ganet-deep"], [(r"conv32x1\.weight$", 100.0)]),
+    "ganet-11": _GANET,
+    "ganet-deep": _GANET,
 }
 """Factors of the drawn weights, by the released names, that keep the softmax soft."""
 

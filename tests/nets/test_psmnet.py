@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from released_weights import filled, heads
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
 from parity import pair
-from released_weights import filled, heads
 
 # Every third row and column of the outputs for views of 256 x 256 and 64 disparities.
 OUTPUTS = np.load(Path(__file__).parents[1] / "data/psmnet_seed7_h256_w256_d64.npz")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from released_weights import OUTPUTS, filled, heads
 
 from mobilestereonet.costs import count_costs
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
 from parity import pair
-from released_weights import OUTPUTS, filled, heads
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
-
 MIN_STD = 1e-6
 """Standard deviation of a view, in the unit of its values, below which it counts as constant."""
 
