@@ -13,6 +13,7 @@ from mobilestereonet.accelerate.guided import (
     local_aggregation,
     scan,
 )
+from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
 from mobilestereonet.nets.guided_aggregation import (
     DIRECTIONS,
@@ -91,6 +92,12 @@ def test_forms_of_the_network():
             found = accelerate(net, purpose)
             assert any(type(m) is LinewiseSemiGlobalAggregation for m in found.modules())
             assert_same(found(left, right).disparity, expected)
+
+
+def test_export_is_refused():
+    net = build_model("ganet-11", max_disparity=12)
+    with pytest.raises(InputError, match="GANet cannot be exported: .*line by line"):
+        accelerate(net, "export")
 
 
 def test_one_batch_in_blocks_is_the_whole(monkeypatch):

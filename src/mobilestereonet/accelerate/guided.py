@@ -190,9 +190,9 @@ def _local_backward(grad: Tensor, volume: Tensor, weights: Tensor) -> tuple[Tens
     grad_volume = grad_padded[:, 1:-1, 2:-2, 2:-2].contiguous()
     products = grad * volume
     ends = ((0, slice(None, WINDOW**2)), (-1, slice(-(WINDOW**2), None)))
-    for plane, part in ends:
-        grad_volume[:, plane] += grad[:, plane] * inside[:, part].sum(dim=1)
-        grad_inside[:, part] += products[:, plane : plane + 1 or None]
+    for plane, taps in ends:
+        grad_volume[:, plane] += grad[:, plane] * inside[:, taps].sum(dim=1)
+        grad_inside[:, taps] += products[:, plane].unsqueeze(1)
     grad_volume.addcmul_(grad, outside.sum(dim=1, keepdim=True))
     beyond = _beyond(weights)
     return grad_volume, torch.where(beyond, products.sum(dim=1, keepdim=True), grad_inside)

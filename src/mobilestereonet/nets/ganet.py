@@ -93,7 +93,7 @@ class Features(nn.Module):
             maps.reverse()  # largest first on the way down, smallest first on the way up
             for level, block in enumerate(blocks, start=1):
                 maps[level] = block(maps[level - 1], maps[level])
-        return maps[-1]
+        return cast(Tensor, maps[-1])
 
 
 class GuidanceMaps(NamedTuple):
@@ -133,14 +133,15 @@ class Guidance(nn.Module):
         """Left views (B, 3, H, W) and their features (B, 32, H / 3, W / 3)."""
         fine = F.interpolate(self.features(features), size=image.shape[-2:], mode="bilinear")
         x = self.start(torch.cat((self.image(image), self.features_norm(fine)), dim=1))
-        local = [branch(x) for branch in self.local]
-        maps: list[list[Tensor]] = []
-        for steps, weights in ((self.steps3, self.weights3), (self.steps6, self.weights6)):
-            maps.append([])
+        maps = GuidanceMaps([], [], [branch(x) for branch in self.local])
+        for found, steps, weights in (
+            (maps.thirds, self.steps3, self.weights3),
+            (maps.sixths, self.steps6, self.weights6),
+        ):
             for step, weight in zip(steps, weights, strict=True):
                 x = step(x)
-                maps[-1].append(weight(x))
-        return GuidanceMaps(*maps, local)
+                found.append(weight(x))
+        return maps
 
 
 class GuidedBlock(nn.Module):
@@ -260,6 +261,7 @@ class GANet(StereoModel):
     config: GANetConfig
     preprocessing = Preprocessing(per_image=True)
     size_multiple = 48
+    not_exported = "its semi-global aggregation goes line by line through the volume"
 
     def __init__(self, config: GANetConfig) -> None:
         super().__init__(config)

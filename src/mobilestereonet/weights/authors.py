@@ -41,7 +41,7 @@ def from_authors(weights: WeightsFile) -> WeightsFile:
 
     Released are state dicts, alone or beside other things, with or without a prefix such as
     ``module.``. Their names tell the network, not all of its config: give ``align_corners`` to
-    those of PSMNet that need it.
+    those of `psmnet` that need it.
 
     Raises:
         InputError: If most names are those of a release, but not all, or there are more.

@@ -57,7 +57,7 @@ def _number(template: str, factor: int = 1, offset: int = 0) -> Callable[[re.Mat
 
 
 def _hourglass_networks(nested: str, first_head: int) -> tuple[_Rule, ...]:
-    """What the releases of PSMNet and of GwcNet have in common.
+    """What the releases of `psmnet` and of `gwcnet-g` have in common.
 
     Args:
         nested: Numbers of an hourglass's convolutions that are one level deeper, for the ReLU.
