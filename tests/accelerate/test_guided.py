@@ -96,7 +96,7 @@ def test_forms_of_the_network():
 
 def test_export_is_refused():
     net = build_model("ganet-11", max_disparity=12)
-    with pytest.raises(InputError, match=r"GANet cannot be exported: .*line by line"):
+    with pytest.raises(InputError, match="GANet cannot be exported"):
         accelerate(net, "export")
 
 

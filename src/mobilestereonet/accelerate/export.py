@@ -60,7 +60,6 @@ class ExportableNet(nn.Module):
             scores: Give the last head's scores at their own resolution in place of the disparity.
 
         Raises:
-<<<<<<< HEAD
             InputError: If scores are asked of a network that has none, or no graph can hold it.
         """
         super().__init__()
@@ -68,15 +67,6 @@ class ExportableNet(nn.Module):
             raise InputError(
                 f"{type(net).__name__} cannot be exported: no graph of operators holds what it "
                 "computes; use the engine torch"
-=======
-            InputError: If scores are asked of a network that has none, or the network cannot be
-                exported.
-        """
-        super().__init__()
-        if net.not_exported:
-            raise InputError(
-                f"{type(net).__name__} cannot be exported: {net.not_exported}; run it in torch"
->>>>>>> dfb3636 (GA-Net's export is refused in one line; training steps of networks with cost volumes in tests)
             )
         if scores and not isinstance(net, VolumeModel):
             raise InputError(f"{type(net).__name__} regresses the disparity: it has no scores")

@@ -261,7 +261,7 @@ class GANet(StereoModel):
     config: GANetConfig
     preprocessing = Preprocessing(per_image=True)
     size_multiple = 48
-    not_exported = "its semi-global aggregation goes line by line through the volume"
+    exportable = False  # the semi-global aggregation goes line by line through the volume
 
     def __init__(self, config: GANetConfig) -> None:
         super().__init__(config)

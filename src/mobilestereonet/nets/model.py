@@ -84,19 +84,13 @@ class StereoModel(nn.Module):
         preprocessing: How RGB views become the network's input.
         size_multiple: Height and width of an input must be multiples of this.
         min_side: Smallest height and width of an input.
-<<<<<<< HEAD
         exportable: Whether a graph of operators can hold the network.
-=======
-        not_exported: Why the network's operators make no graph for other runtimes; empty if they
-            do.
->>>>>>> dfb3636 (GA-Net's export is refused in one line; training steps of networks with cost volumes in tests)
     """
 
     exportable: ClassVar[bool] = True
     preprocessing: ClassVar[Preprocessing] = IMAGENET
     size_multiple: int = 16
     min_side: int = 1
-    not_exported: ClassVar[str] = ""
 
     @classmethod
     def config_of_state(cls, config: Any, names: Container[str]) -> dict[str, Any]:

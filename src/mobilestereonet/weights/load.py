@@ -24,10 +24,10 @@ from mobilestereonet.weights.files import (
     read_weights_file,
 )
 from mobilestereonet.weights.hub import download
-<<<<<<< HEAD
+from mobilestereonet.weights.numpy_files import read_numpy_file
 from mobilestereonet.weights.reversing import from_reversing
 
-_ENDINGS = (".safetensors", CAFFE_ENDING, *CHECKPOINT_ENDINGS)
+_ENDINGS = (".safetensors", CAFFE_ENDING, ".npz", *CHECKPOINT_ENDINGS)
 _UNREADABLE = {
     ".index": "a TensorFlow snapshot",
     ".meta": "a TensorFlow snapshot",
@@ -35,11 +35,6 @@ _UNREADABLE = {
     ".net": "a Torch7 file",
 }
 """Endings of files that other networks are released in, and that need their old framework."""
-=======
-from mobilestereonet.weights.numpy_files import read_numpy_file
-
-_ENDINGS = (".safetensors", ".npz", *CHECKPOINT_ENDINGS)
->>>>>>> 2a7ce4f (Fast DS-CS and the reader of its NumPy weights; released checkpoints in tests)
 _IN_FOLDERS = ("model.safetensors", "weights.safetensors")
 """Weights in a folder: the hub's name, and that of a training run."""
 
@@ -130,7 +125,6 @@ def _find(name: str | Path, revision: str | None) -> WeightsFile:
 
 
 def _read_file(path: Path) -> WeightsFile:
-<<<<<<< HEAD
     if path.suffix in _UNREADABLE or ".data-" in path.name:
         kind = _UNREADABLE.get(path.suffix, "a TensorFlow snapshot")
         raise InputError(
@@ -139,10 +133,8 @@ def _read_file(path: Path) -> WeightsFile:
         )
     if path.suffix == CAFFE_ENDING:
         return read_caffemodel(path)
-=======
     if path.suffix == ".npz":
         return read_numpy_file(path)
->>>>>>> 2a7ce4f (Fast DS-CS and the reader of its NumPy weights; released checkpoints in tests)
     return read_checkpoint(path) if path.suffix in CHECKPOINT_ENDINGS else read_weights_file(path)
 
 
