@@ -62,8 +62,15 @@ def transposed_norm(dims: int, inputs: int, outputs: int, *, bias: bool = False)
 
 def depthwise_norm(dims: int, channels: int, *, stride: int, dilation: int) -> nn.Sequential:
     """Depthwise 3x3(x3) convolution with batch norm and ReLU6, see `conv_norm`."""
-    size = {"stride": stride, "dilation": dilation, "groups": channels}
-    return conv_norm(dims, channels, channels, activation=nn.ReLU6, **size)
+    return conv_norm(
+        dims,
+        channels,
+        channels,
+        stride=stride,
+        dilation=dilation,
+        groups=channels,
+        activation=nn.ReLU6,
+    )
 
 
 def v1_block(
