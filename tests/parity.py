@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from mobilestereonet import create_model
-from mobilestereonet.weights.authors import authors_key
+from mobilestereonet.weights.released_names import released_name
 
 REPOSITORY = Path(__file__).parents[1]
 # The outputs of the authors' code, in float64, for the weights of `fill` and the pair of `pair`.
@@ -52,8 +52,10 @@ def pair(seed, height, width):
 
 
 def authors_state(name):
-    net = create_model(MODELS[name])
-    return fill({authors_key(k, net.config): v.shape for k, v in net.state_dict().items()})
+    network = MODELS[name]
+    return fill(
+        {released_name(network, k): v.shape for k, v in create_model(network).state_dict().items()}
+    )
 
 
 def largest_error(net, dtype, output, seed):

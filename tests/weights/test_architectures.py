@@ -42,7 +42,7 @@ class MyNet(StereoModel):
         disparity = self.net(torch.cat((left, right), 1))[:, 0]
         return Prediction(disparity, None)
 '''
-SMALLER = {"max_disparity": 32, "hourglasses": 1, "width": 8}
+SMALLER = {"max_disparity": 96, "hourglasses": 1, "width": 8}
 
 
 def is_row(name):

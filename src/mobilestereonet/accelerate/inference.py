@@ -15,6 +15,7 @@ from torch.nn.utils import (
 )
 
 from mobilestereonet.accelerate.fused import fuse_convolutions
+from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import (
@@ -41,6 +42,7 @@ def inference_form(net: StereoModel) -> StereoModel:
     net = inference_copy(net)
     fold_norms(net)
     use_closed_form(net)
+    aggregate_in_lines(net)
     if on_cpu:
         if type(net) is MobileStereoNet:
             images_one_by_one(net)

@@ -15,6 +15,7 @@ from mobilestereonet.accelerate.batched import (
     BatchedMobileStereoNet,
 )
 from mobilestereonet.accelerate.depthwise import fast_depthwise, has_triton
+from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import replace_modules, sharing_copy
 from mobilestereonet.accelerate.norm_activation import fuse_activations
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
@@ -39,6 +40,7 @@ def training_form(net: StereoModel) -> StereoModel:
     convert_conv2d_weight_memory_format(fast, torch.channels_last)
     convert_conv3d_weight_memory_format(fast, torch.channels_last_3d)
     use_closed_form(fast)
+    aggregate_in_lines(fast)
     replace_modules(fast, LearnedVolume, BatchedLearnedVolume)
     replace_modules(fast, Correlation, BatchedCorrelation)
     fast_depthwise(fast)

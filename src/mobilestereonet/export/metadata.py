@@ -41,7 +41,8 @@ def describe(
         "inputs": "left, right: rectified views, float32, (1, 3, height, width)",
         "colour_order": "RGB",
         "value_range": "0..1",
-        "normalisation": "inside the graph: (scale * value - mean) / std per channel",
+        "normalisation": "inside the graph: (scale * value - mean) / std per channel"
+        + (", then by each image's own mean and std" if preprocessing.per_image else ""),
         "scale": str(preprocessing.scale),
         "mean": _numbers(preprocessing.mean),
         "std": _numbers(preprocessing.std),

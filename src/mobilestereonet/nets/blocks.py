@@ -27,9 +27,10 @@ def conv_norm(
     stride: int = 1,
     dilation: int = 1,
     groups: int = 1,
+    bias: bool = False,
     activation: type[nn.ReLU] | type[nn.ReLU6] | None = nn.ReLU,
 ) -> nn.Sequential:
-    """Convolution without bias, batch norm and, unless None, an activation.
+    """Convolution, without bias by default, batch norm and, unless None, an activation.
 
     The padding keeps the size at stride 1. Takes and gives (B, C, H, W) or (B, C, D, H, W).
     """
@@ -42,7 +43,7 @@ def conv_norm(
             padding=dilation * (kernel // 2),
             dilation=dilation,
             groups=groups,
-            bias=False,
+            bias=bias,
         ),
         _NORM[dims](outputs),
     ]
@@ -51,18 +52,25 @@ def conv_norm(
     return nn.Sequential(*layers)
 
 
-def transposed_norm(dims: int, inputs: int, outputs: int) -> nn.Sequential:
-    """3x3(x3) transposed convolution of stride 2 without bias, and batch norm: doubles the size."""
+def transposed_norm(dims: int, inputs: int, outputs: int, *, bias: bool = False) -> nn.Sequential:
+    """3x3(x3) transposed convolution of stride 2 and batch norm: doubles the size."""
     return nn.Sequential(
-        _TRANSPOSED[dims](inputs, outputs, 3, stride=2, padding=1, output_padding=1, bias=False),
+        _TRANSPOSED[dims](inputs, outputs, 3, stride=2, padding=1, output_padding=1, bias=bias),
         _NORM[dims](outputs),
     )
 
 
 def depthwise_norm(dims: int, channels: int, *, stride: int, dilation: int) -> nn.Sequential:
     """Depthwise 3x3(x3) convolution with batch norm and ReLU6, see `conv_norm`."""
-    size = {"stride": stride, "dilation": dilation, "groups": channels}
-    return conv_norm(dims, channels, channels, activation=nn.ReLU6, **size)
+    return conv_norm(
+        dims,
+        channels,
+        channels,
+        stride=stride,
+        dilation=dilation,
+        groups=channels,
+        activation=nn.ReLU6,
+    )
 
 
 def v1_block(

@@ -14,26 +14,39 @@ from torch import Tensor, nn
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
+MIN_STD = 1e-6
+"""Standard deviation of a view, in the unit of its values, below which it counts as constant."""
+
 
 @dataclass(frozen=True)
 class Preprocessing:
     """How RGB views become a network's input: ``(scale * view - mean) / std`` per channel.
 
+    With ``per_image`` each channel of each view is then standardised by its own mean and
+    (population) standard deviation.
+
     Attributes:
         mean: Mean of red, green and blue, after scaling.
         std: Standard deviation of red, green and blue, after scaling.
         scale: Factor of values in 0..1, such as 255 for networks that take 0..255.
+        per_image: Standardise each view by its own statistics.
     """
 
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     scale: float = 1.0
+    per_image: bool = False
 
     def __call__(self, view: Tensor) -> Tensor:
         """RGB in 0..1, (..., 3, H, W), to the network's input of the same shape."""
         mean = view.new_tensor(self.mean)[:, None, None]
         std = view.new_tensor(self.std)[:, None, None]
-        return (view * self.scale - mean) / std
+        view = (view * self.scale - mean) / std
+        if self.per_image:
+            around = view.mean(dim=(-2, -1), keepdim=True)
+            spread = view.std(dim=(-2, -1), keepdim=True, correction=0)
+            view = (view - around) / spread.clamp_min(MIN_STD)
+        return view
 
 
 RGB = Preprocessing()

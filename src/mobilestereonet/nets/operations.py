@@ -86,6 +86,11 @@ def correlation_1d(left: Tensor, right: Tensor, reach: int) -> Tensor:
     return torch.stack(products, dim=1)
 
 
+def concatenate(left: Tensor, right: Tensor) -> Tensor:
+    """Features (B, C, H, W) of both views, one after the other: (B, 2 C, H, W)."""
+    return torch.cat((left, right), dim=1)
+
+
 @contextmanager
 def eval_mode(network: nn.Module) -> Iterator[None]:
     """Eval mode for a while; afterwards each module has the mode that it had, frozen ones too."""

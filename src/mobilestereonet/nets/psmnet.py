@@ -19,7 +19,7 @@ from mobilestereonet.nets.features import FeatureExtraction
 from mobilestereonet.nets.hourglass import Head, PreHourglass
 from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
 from mobilestereonet.nets.msnet import BASELINE3D
-from mobilestereonet.nets.operations import cost_volume
+from mobilestereonet.nets.operations import concatenate, cost_volume
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
@@ -183,8 +183,3 @@ class PSMNet(VolumeModel):
         for block in self.blocks:
             x = block(x) + x
         return cast(Tensor, self.head(x))
-
-
-def concatenate(left: Tensor, right: Tensor) -> Tensor:
-    """Features (B, C, H, W) of both views, one after the other: (B, 2 C, H, W)."""
-    return torch.cat((left, right), dim=1)

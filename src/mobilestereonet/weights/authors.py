@@ -1,81 +1,75 @@
-"""The authors' released checkpoints: their names of tensors, translated to ours."""
+"""Released checkpoints of the networks' authors, with their tensors' names translated to ours."""
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import NamedTuple
+
+from torch import Tensor
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import model_config
 from mobilestereonet.weights.files import COUNTER, WeightsFile
+from mobilestereonet.weights.released_names import MARKS, released_name
 from mobilestereonet.weights.shapes import registered_shapes
 
-_PREFIXES = (
-    (r"features\.first\.(\d)\.0\.", "feature_extraction.firstconv.{0}."),
-    (r"features\.stage(\d)\.", "feature_extraction.layer{0}."),
-    (r"reduction\.(\d)\.", "preconv11.{0}."),
-    (r"volume\.conv\.(\d)\.", "conv3d.{0}."),
-    (r"volume\.norm\.(\d)\.", "conv3d.{0}."),
-    (r"volume\.squeeze\.", "volume11.0."),
-    (r"pre_hourglass\.first\.(\d)\.0\.", "dres0.{0}."),
-    (r"pre_hourglass\.second\.(\d)\.0\.", "dres1.{0}."),
-    (r"hourglasses\.(\d)\.(?:conv|up)(\d)\.", "encoder_decoder{0}.conv{1}."),
-    (r"hourglasses\.(\d)\.redirect(\d)\.", "encoder_decoder{0}.redir{1}."),
-    (r"heads\.(\d)\.conv\.", "classif{0}.0."),
-    (r"heads\.(\d)\.score\.", "classif{0}.2."),
-)
-_MARK = "feature_extraction."
-"""Names in the authors' checkpoints begin with it, those in ours never hold it."""
+_UNUSED = re.compile(r"cost_agg\.deconv0b\.")
+"""A block in released GA-Net-deep checkpoints that its network never calls."""
 
 
-def authors_key(key: str, config: Any) -> str:
-    """The authors' name for a name in our state dict, for networks made of v2 blocks.
+class _Reading(NamedTuple):
+    """A checkpoint, taken for that of one network."""
 
-    Args:
-        key: Our name.
-        config: Config of an MSNet network.
-    """
-    # Their indices count the activations between the layers, ours don't.
-    relu = 2 if config.v2_relu else 1
-    scale = {"firstconv": relu, "dres0": relu, "dres1": relu, "preconv11": 2, "conv3d": 3}
-    for pattern, template in _PREFIXES:
-        match = re.match(pattern, key)
-        if match is None:
-            continue
-        name = next((name for name in scale if name in template), "")
-        first, *others = (int(group) for group in match.groups() or ("0",))
-        first = first * scale.get(name, 1) + (
-            "norm" in pattern or template.startswith("encoder_decoder")
-        )
-        return template.format(first, *others) + key[match.end() :]
-    raise AssertionError(f"no rule for {key}")
+    network: str
+    state: dict[str, Tensor]  # by released names, without prefixes
+    expected: dict[str, str]  # our names by released ones
+
+    @property
+    def missing(self) -> set[str]:
+        return self.expected.keys() - self.state.keys()
+
+    @property
+    def unknown(self) -> set[str]:
+        return self.state.keys() - self.expected.keys()
+
+    @property
+    def misfits(self) -> int:
+        return len(self.missing) + len(self.unknown)
 
 
 def from_authors(weights: WeightsFile) -> WeightsFile:
-    """Translate a checkpoint of MobileStereoNet's authors; any other is given back as it is.
+    """Translate a released checkpoint; any other is given back as it is.
 
-    The authors' file is ``{"model": {"module.<name>": tensor}}``, or the state dict alone, with or
-    without the prefix: `msnet2d` or `msnet3d-authors`, told from the names.
+    Released are state dicts, alone or beside other things, with or without a prefix such as
+    ``module.``. Their names tell the network, not all of its config: give ``align_corners`` to
+    those of `psmnet` that need it.
 
     Raises:
-        InputError: If most names are the authors', but not all, or there are more.
+        InputError: If most names are those of a release, but not all, or there are more.
     """
-    prefix = next((key.partition(_MARK)[0] for key in weights.state if _MARK in key), None)
-    if prefix is None:
+    found = [name for name, mark in MARKS.items() if any(mark in key for key in weights.state)]
+    if weights.model is not None or not found:
         return weights
-    state = {key.removeprefix(prefix): value for key, value in weights.state.items()}
-    name = "msnet2d" if any(key.startswith("preconv11.") for key in state) else "msnet3d-authors"
-    config = model_config(name)
-    expected = {authors_key(key, config): key for key in registered_shapes(name)}
-    state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
-    missing, unknown = expected.keys() - state.keys(), state.keys() - expected.keys()
-    if len(missing) > len(expected) / 2:  # others' names begin alike
+    best = min((_read(weights.state, name) for name in found), key=lambda r: r.misfits)
+    if len(best.missing) > len(best.expected) / 2:  # others' names begin alike
         return weights
-    if missing or unknown:
-        example = min(missing or unknown)
+    if best.misfits:
+        example = min(best.missing or best.unknown)
         raise InputError(
-            f"{weights.source}: not the authors' {name.removesuffix('-authors')}: {len(missing)} "
-            f"keys missing, {len(unknown)} unknown, such as {example!r}"
+            f"{weights.source}: not the authors' {best.network.removesuffix('-authors')}: "
+            f"{len(best.missing)} keys missing, {len(best.unknown)} unknown, such as {example!r}"
         )
-    translated = {own: state[released] for released, own in expected.items()}
-    return WeightsFile(weights.source, translated, name)
+    translated = {own: best.state[released] for released, own in best.expected.items()}
+    return WeightsFile(weights.source, translated, best.network)
+
+
+def _read(state: dict[str, Tensor], network: str) -> _Reading:
+    mark = MARKS[network]
+    prefix = next(key.partition(mark)[0] for key in state if mark in key)
+    names = {key.removeprefix(prefix): value for key, value in state.items()}
+    kept = {
+        key: value
+        for key, value in names.items()
+        if not key.endswith(COUNTER) and not _UNUSED.match(key)
+    }
+    expected = {released_name(network, key): key for key in registered_shapes(network)}
+    return _Reading(network, kept, expected)

@@ -24,9 +24,10 @@ from mobilestereonet.weights.files import (
     read_weights_file,
 )
 from mobilestereonet.weights.hub import download
+from mobilestereonet.weights.numpy_files import read_numpy_file
 from mobilestereonet.weights.reversing import from_reversing
 
-_ENDINGS = (".safetensors", CAFFE_ENDING, *CHECKPOINT_ENDINGS)
+_ENDINGS = (".safetensors", CAFFE_ENDING, ".npz", *CHECKPOINT_ENDINGS)
 _UNREADABLE = {
     ".index": "a TensorFlow snapshot",
     ".meta": "a TensorFlow snapshot",
@@ -132,6 +133,8 @@ def _read_file(path: Path) -> WeightsFile:
         )
     if path.suffix == CAFFE_ENDING:
         return read_caffemodel(path)
+    if path.suffix == ".npz":
+        return read_numpy_file(path)
     return read_checkpoint(path) if path.suffix in CHECKPOINT_ENDINGS else read_weights_file(path)
 
 
