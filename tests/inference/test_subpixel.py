@@ -142,3 +142,11 @@ def test_a_refining_matcher_fits():
     assert errors(refined, surface(10.0)).mean() < 0.03
     plain = StereoMatcher(Nearly(), refine=False).disparity(left, right)
     assert (plain == 10.4).all()
+
+
+def test_nothing_is_farther_than_infinity():
+    truth = surface(0.0)
+    left, right = pair(surface(-0.8))  # rectified with an error of a pixel
+    found = fit_subpixel((truth + 0.2).float()[None], left, right)
+    assert (found >= 0).all()
+    assert found.median() == 0

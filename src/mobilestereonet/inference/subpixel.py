@@ -68,7 +68,7 @@ def fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
         sums = _window_means(torch.cat((weighted * target, weighted * gradient), dim=1))
         shift = _between_windows(sums[:, :1] / (sums[:, 1:] + PRIOR), *disparity.shape[-2:])
         shift = shift.clamp(-MAX_SHIFT_PX, MAX_SHIFT_PX)
-    return disparity + shift
+    return (disparity + shift).clamp_min(0)
 
 
 def _normalise_contrast(views: Tensor) -> Tensor:
