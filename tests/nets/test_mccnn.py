@@ -141,3 +141,11 @@ def test_no_graph_is_made_of_it():
 def test_parameters_of_the_method_do_not_change_the_name():
     assert model_name(build_model("mccnn-fast", p1=4.0).config) == "mccnn-fast"
     assert model_name(build_model("mccnn-slow", max_disparity=64).config) == "mccnn-slow"
+
+
+def test_views_narrower_than_the_range_have_no_nan():
+    net = build_model("mccnn-slow", max_disparity=64).eval()
+    with torch.no_grad():
+        disparity = net(*torch.randn(2, 1, 3, 20, 40)).disparity
+    assert disparity.isfinite().all()
+    assert 0 <= disparity.min() <= disparity.max() < 64

@@ -39,3 +39,15 @@ def test_enlarging_by_equal_factors_is_pytorchs_bilinear():
     enlarged = F.interpolate(OUTPUTS["resample_in"], scale_factor=2, mode="bilinear")
     close(enlarged, "resample_26x40")
     close(enlarged, "resample_26x40_antialias")
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_warps_count_columns_in_float32(dtype):
+    image = torch.rand(1, 2, 4, 1280).to(dtype)
+    flow = torch.zeros(1, 2, 4, 1280, dtype=dtype)
+    for warp in (remap, flow_warp):
+        torch.testing.assert_close(warp(image, flow), image, rtol=0, atol=4e-3)
+    ramp = torch.arange(1025.0).expand(1, 1, 3, -1) / 1024
+    shrunk = downsample(ramp.to(dtype), 2, 513)
+    expected = torch.arange(513.0).expand(1, 1, 2, -1) / 512
+    torch.testing.assert_close(shrunk.float(), expected, rtol=0, atol=0.01)

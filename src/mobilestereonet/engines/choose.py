@@ -18,7 +18,7 @@ from mobilestereonet.engines.openvino import OpenVinoEngine
 from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.engines.torch import TorchEngine, has_bfloat16
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.model import StereoModel, VolumeModel
 from mobilestereonet.settings import check_arguments
 
 CONVERTED: dict[str, type[ConvertedEngine]] = {
@@ -45,7 +45,8 @@ def open_engine(
         name: One of `ENGINES`.
         net: The network, in any mode and on any device; it stays as it is.
         precision: "fp32"; "bf16" or "fp16" where the engine has them on the device; or "auto": bf16
-            where the engine has it, and the processor or GPU instructions for it, else fp32.
+            where the engine has it, and the processor or GPU instructions for it, else fp32; and
+            fp32 for networks that regress the disparity themselves, in the network's precision.
         threads: Threads on a CPU; None leaves them to the engine.
         device: A device of PyTorch such as "cpu", "cuda:0" or "mps"; for ONNX Runtime "cpu" or
             "cuda:0", for OpenVINO "cpu", "GPU" or "NPU". "auto" is a GPU if the engine finds one
@@ -58,6 +59,8 @@ def open_engine(
     """
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}: there are {', '.join(ENGINES)}")
+    if precision == AUTO and not isinstance(net, VolumeModel):
+        precision = "fp32"
     if name == TorchEngine.name:
         found = torch_device(device)
         if precision == AUTO:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 _PRECISIONS = {"fp32": "f32", "bf16": "bf16", "fp16": "f16"}
 
 
-@cache
 def openvino_core() -> Any:
     """The one ``openvino.Core`` of this process.
 
@@ -30,9 +30,18 @@ def openvino_core() -> Any:
     when its core is deleted. Two cores that are not deleted in the reverse order leave a stack that
     is no longer mapped, and the next signal with a Python handler (Ctrl-C) kills the process.
     """
+    with _ONE_CORE:
+        return _core()
+
+
+@cache
+def _core() -> Any:
     import openvino
 
     return openvino.Core()
+
+
+_ONE_CORE = Lock()
 
 
 def to_openvino(network: ExportableNet, size: Size | None = None) -> Any:

@@ -17,6 +17,8 @@ from mobilestereonet.nets.model import Prediction, Preprocessing
 class ScaledEngine:
     """Another engine, run on resized views; its results are in the size and pixels of the views.
 
+    But for the confidence: the engine's 2 px are pixels of the smaller views.
+
     Args:
         engine: The engine.
         scale: Factor of height and width, in 0.25..1. Disparities that it searches reach as much

@@ -67,6 +67,7 @@ def check_size(net: StereoModel, size: Size, min_width: int) -> None:
         InputError: If they are no positive multiples of the network's, or the width is too small.
     """
     multiple = net.size_multiple
+    min_width = max(min_width, net.min_side)
     for name, value, least in zip(("height", "width"), size, (multiple, min_width), strict=True):
         if value < multiple or value % multiple:
             below = max(value // multiple * multiple, least)
@@ -74,6 +75,8 @@ def check_size(net: StereoModel, size: Size, min_width: int) -> None:
                 f"{name} must be a multiple of {multiple}, got {value}: take {below} or "
                 f"{below + multiple}"
             )
+    if size[0] < net.min_side:
+        raise InputError(f"height must be at least {net.min_side}, got {size[0]}")
     if size[1] < min_width:
         raise InputError(
             f"width must be at least {min_width} for {net.max_disparity} disparities, got {size[1]}"

@@ -129,7 +129,7 @@ class BGRModel(RegressionModel):
     """A network of the Caffe releases: it takes BGR without the mean of its training views.
 
     Attributes:
-        means: Mean of blue, green and blue of the left and the right view, (2, 3), in the weights.
+        means: Mean of blue, green and red of the left and the right view, (2, 3), in the weights.
     """
 
     preprocessing = RGB

@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from mobilestereonet.errors import InputError
 from mobilestereonet.nets.dispnet import BGRModel, Corr1DStage, Stage
 from mobilestereonet.nets.model import RGB
 from mobilestereonet.nets.operations import correlation_1d
@@ -50,6 +51,8 @@ class IResNetConfig:
 
     def __post_init__(self) -> None:
         check_width(self.width)
+        if self.iterations < 1:
+            raise InputError(f"iterations must be at least 1, got {self.iterations}")
 
 
 class MultiScale(nn.Module):

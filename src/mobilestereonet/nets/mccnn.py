@@ -30,14 +30,12 @@ from mobilestereonet.nets.disparity_refinement import (
     outliers,
     subpixel,
 )
-from mobilestereonet.nets.model import RGB, Prediction, StereoModel
+from mobilestereonet.nets.model import MIN_STD, RGB, Prediction, StereoModel
 from mobilestereonet.nets.registry import register_model
 
 GREY = (0.299, 0.587, 0.114)
 """Shares of red, green and blue in an intensity."""
 
-MIN_STD = 1e-6
-"""Standard deviation of intensities in 0..1 below which a view counts as constant."""
 
 MARGIN = 0.2
 """Of the fast network's loss: by how much the right partner should be more alike."""
@@ -98,9 +96,13 @@ class MCCNNConfig:
     blur_threshold: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("max_disparity", "layers", "width", "hidden_width", "blur"):
+        positive = ("max_disparity", "layers", "width", "hidden_width", "blur", "blur_threshold")
+        for name in (*positive, "q1", "q2", "alpha"):
             if (value := getattr(self, name)) <= 0:
                 raise InputError(f"{name} must be positive, got {value}")
+        for name in ("hidden", "arm", "rounds_before", "rounds_after", "p1", "p2"):
+            if (value := getattr(self, name)) < 0:
+                raise InputError(f"{name} must not be negative, got {value}")
         if self.max_disparity < 3:
             raise InputError(f"max_disparity must be at least 3, got {self.max_disparity}")
 
@@ -249,11 +251,11 @@ class MCCNN(StereoModel):
     def at_border(self, volume: Tensor, side: int) -> Tensor:
         """A volume whose columns that see past the border are those beside them."""
         n, width = self.config.layers, volume.shape[-1]
+        columns = slice(width - n, width) if side < 0 else slice(0, n)
+        beside = volume[..., width - 1 - n if side < 0 else n, None]
         volume = volume.clone()
-        if side < 0:
-            volume[..., width - n :] = volume[..., width - 1 - n, None]
-        else:
-            volume[..., :n] = volume[..., n, None]
+        # Of planes in which the column beside them has no partner, they keep their own.
+        volume[..., columns] = torch.where(beside.isfinite(), beside, volume[..., columns])
         return volume
 
     def optimise(self, volume: Tensor, image: Tensor, other: Tensor, side: int) -> Tensor:

@@ -193,7 +193,8 @@ class VolumeOutputs:
     Args:
         scores: Matching scores (B, D, H / s, W / s) per head, first to last; in eval mode those of
             the last head alone. s is ``regression.scale``.
-        volume: The cost volume (B, C, D, H / s, W / s); None from networks that do not give it.
+        volume: The cost volume (B, C, N, H / s, W / s) of the planes that were compared, all D or
+            fewer; None from networks that do not give it.
         regression: From scores to disparity.
     """
 

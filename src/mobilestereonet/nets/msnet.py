@@ -97,7 +97,7 @@ class MobileStereoNet(VolumeModel):
         volume = self.cost_volume(left, right, planes if start is None else band, start)
         scores = self.aggregate(volume, guidance)
         if start is not None:
-            scores = [spread_band(band, start, planes) for band in scores]
+            scores = [spread_band(each, start, planes) for each in scores]
         return VolumeOutputs(scores, volume, self.regression)
 
     def cost_volume(
@@ -250,8 +250,11 @@ register_model(
 )(MobileStereoNet)
 # With the skip in its 3D blocks that the paper describes; the release does without.
 register_model("msnet3d", config=MSNET3D, paper=_PAPER)(MobileStereoNet)
-# Not in the paper: the search of msnet3d in two steps, for less time.
-register_model("msnet3d-cascade", config=CASCADE3D, paper=_PAPER)(MobileStereoNet)
+register_model(
+    "msnet3d-cascade",
+    config=CASCADE3D,
+    paper=f"{_PAPER}; searched in two steps after Gu et al., CVPR 2020",
+)(MobileStereoNet)
 register_model(
     "msnet3d-authors",
     config=replace(MSNET3D, v2_skip=False),

@@ -7,7 +7,7 @@ last two stages of the features have dilations 1 and 2, in the paper 2 and 4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import ClassVar, cast
 
 import torch
 import torch.nn.functional as F
@@ -44,6 +44,9 @@ class PSMNetConfig:
     max_disparity: int = 192
     stacked: bool = True
     align_corners: bool = False
+
+    free_fields: ClassVar[tuple[str, ...]] = ("max_disparity", "align_corners")
+    """Fields that do not change what a network is called, see `model_name`."""
 
     def __post_init__(self) -> None:
         if self.max_disparity % 16 or self.max_disparity < 16:

@@ -53,14 +53,17 @@ def downsample(image: Tensor, height: int, width: int) -> Tensor:
     Returns:
         (B, C, height, width).
     """
-    rows = _triangles(image, image.shape[-2], height)
-    columns = _triangles(image, image.shape[-1], width)
-    return rows @ image @ columns.T
+    values = image.to(torch.promote_types(image.dtype, torch.float32))
+    rows = _triangles(values, image.shape[-2], height)
+    columns = _triangles(values, image.shape[-1], width)
+    with torch.autocast(image.device.type, enabled=False):
+        return (rows @ values @ columns.T).to(image.dtype)
 
 
 def _targets(flow: Tensor) -> tuple[Tensor, Tensor]:
     """Columns and rows where a flow points, (B, H, W) each."""
     height, width = flow.shape[-2:]
+    flow = flow.to(torch.promote_types(flow.dtype, torch.float32))  # bfloat16 counts to 256
     columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
     rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
     return flow[:, 0] + columns, flow[:, 1] + rows[:, None]
@@ -71,7 +74,9 @@ def _sample(image: Tensor, x: Tensor, y: Tensor, outside: str) -> Tensor:
     height, width = image.shape[-2:]
     # -1 and 1 are the image's borders, half a pixel beyond the outermost centres.
     grid = torch.stack(((2 * x + 1) / width - 1, (2 * y + 1) / height - 1), dim=-1)
-    return F.grid_sample(image, grid, padding_mode=outside, align_corners=False)
+    values = image.to(grid.dtype)
+    values = F.grid_sample(values, grid, padding_mode=outside, align_corners=False)
+    return values.to(image.dtype)
 
 
 def _triangles(like: Tensor, inputs: int, outputs: int) -> Tensor:

@@ -125,7 +125,7 @@ def _find(name: str | Path, revision: str | None) -> WeightsFile:
 
 
 def _read_file(path: Path) -> WeightsFile:
-    if path.suffix in _UNREADABLE or ".data-" in path.name:
+    if path.suffix in _UNREADABLE or re.search(r"\.data-\d+-of-\d+$", path.name):
         kind = _UNREADABLE.get(path.suffix, "a TensorFlow snapshot")
         raise InputError(
             f"{path}: {kind} cannot be read without that framework: load it there, and save the "

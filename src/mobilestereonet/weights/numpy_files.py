@@ -49,7 +49,11 @@ def read_numpy_file(path: Path) -> WeightsFile:
             f"{path}: not the released weights of {NETWORK}, the one network that is read from "
             f"NumPy archives: {missing[0]} is missing"
         )
-    return WeightsFile(str(path), {key: tensor(key, arrays) for key in shapes}, NETWORK)
+    try:
+        state = {key: tensor(key, arrays) for key in shapes}
+    except RuntimeError as error:  # an array of other dimensions
+        raise InputError(f"{path}: not the released weights of {NETWORK}: {error}") from None
+    return WeightsFile(str(path), state, NETWORK)
 
 
 def released_array(name: str) -> str | None:
