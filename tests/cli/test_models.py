@@ -16,9 +16,11 @@ def test_models_are_listed(msnet, monkeypatch):
     monkeypatch.setattr(shapes, "_meta_network", count)
     code, out, _ = msnet("models")
     assert code == 0
-    assert re.search(r"msnet2d\W+procedural-1\W+2\.353", out)
+    assert re.search(r"msnet2d\W+procedural-1, public\W+2\.353", out)
     assert re.search(r"baseline2d\W+", out)
     assert "table3b-v1-v2" in out
+    for name, public in (("psmnet", True), ("crl", True), ("dispnet-c", False)):
+        assert bool(re.search(rf"│ {name} +│ public +│", out)) == public
     assert len(built) < 20  # each takes a fiftieth of a second
 
 

@@ -53,15 +53,20 @@ def _list(names: list[str]) -> None:
     from mobilestereonet.weights import count_parameters, embedded_versions
 
     table = Table()
-    for heading in ("name", "embedded weights"):
+    for heading in ("name", "weights"):
         table.add_column(heading, no_wrap=True)
     table.add_column("parameters, M", justify="right", no_wrap=True)
     table.add_column("paper")
     for name in sorted(names, key=lambda name: not embedded_versions(name)):
-        tags = ", ".join(version.partition(".")[2] for version in embedded_versions(name))
-        paper = Text(model_info(name).paper, no_wrap=True, overflow="ellipsis")
-        table.add_row(name, tags, f"{count_parameters(name) / 1e6:.3f}", paper)
+        weights = [version.partition(".")[2] for version in embedded_versions(name)]
+        info = model_info(name)
+        if info.checkpoints and not info.checkpoints.startswith("none"):
+            weights.append("public")
+        paper = Text(info.paper, no_wrap=True, overflow="ellipsis")
+        parameters = f"{count_parameters(name) / 1e6:.3f}"
+        table.add_row(name, ", ".join(weights), parameters, paper)
     Console().print(table)
+    print("public: released checkpoints that `msnet models NAME` names and --weights FILE reads")
 
 
 def _describe(name: str, info: ModelInfo) -> None:

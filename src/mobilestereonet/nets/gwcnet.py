@@ -69,7 +69,9 @@ register_model(
 
 
 # Its ablation's base: MobileStereoNet's tables call it Gwc40-Cat24-Base.
-@register_model("gwcnet-gc-base", config=GwcNetConfig(hourglasses=1), paper=_PAPER)
+@register_model(
+    "gwcnet-gc-base", config=GwcNetConfig(hourglasses=1), paper=_PAPER, checkpoints="none"
+)
 @register_model(
     "gwcnet-gc",
     checkpoints="xy-guo/GwcNet on GitHub: sceneflow/gwcnet-gc/checkpoint_000015.ckpt, "

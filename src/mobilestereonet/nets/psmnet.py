@@ -120,7 +120,9 @@ class StackedHourglass(nn.Module):
 _PAPER = "Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018"
 
 
-@register_model("psmnet-basic", config=PSMNetConfig(stacked=False), paper=_PAPER)
+@register_model(
+    "psmnet-basic", config=PSMNetConfig(stacked=False), paper=_PAPER, checkpoints="none"
+)
 @register_model(
     "psmnet",
     paper=_PAPER,
