@@ -56,8 +56,7 @@ def downsample(image: Tensor, height: int, width: int) -> Tensor:
     values = image.to(torch.promote_types(image.dtype, torch.float32))
     rows = _triangles(values, image.shape[-2], height)
     columns = _triangles(values, image.shape[-1], width)
-    with torch.autocast(image.device.type, enabled=False):
-        return (rows @ values @ columns.T).to(image.dtype)
+    return (rows @ values @ columns.T).to(image.dtype)
 
 
 def _targets(flow: Tensor) -> tuple[Tensor, Tensor]:
