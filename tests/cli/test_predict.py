@@ -202,7 +202,7 @@ def test_the_demos_ground_truth_scores_its_map(msnet, tmp_path):
     data = ("--data", "folder", "--root", tmp_path)
     code, out, _ = msnet("evaluate", *data, *options, "--model", "sgbm")
     assert code == 0
-    assert re.search(rf"all .*EPE, px .*{epe}", out)
+    assert re.search(rf"\b{epe}\b", out)
 
 
 def test_the_version(msnet):

@@ -154,7 +154,7 @@ def test_a_coarse_pass_is_a_pass_at_half_of_the_size():
 
 
 def test_a_cascade_is_a_coarse_pass_and_a_band_of_planes():
-    settings = {"hourglasses": 1, "coarse_hourglasses": 0}
+    settings = {"hourglasses": 1, "coarse_hourglasses": 0, "band": 16}
     cascade = count_costs("msnet3d-cascade", 64, 128, settings)["total"]
     whole = count_costs("msnet3d", 64, 128, {"hourglasses": 1, "coarse_pass": True})["total"]
     planes = {"hourglasses": 1, "max_disparity": 128}

@@ -9,7 +9,7 @@ from mobilestereonet import InputError, StereoMatcher
 from mobilestereonet.cli.early import QUALITIES as NAMES
 from mobilestereonet.data import write_png
 from mobilestereonet.engines.scaled import ScaledEngine
-from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES
+from mobilestereonet.inference import DEFAULT_QUALITY, QUALITIES, Quality
 from mobilestereonet.inference.rate import choose_quality
 
 
@@ -29,6 +29,34 @@ def test_a_level_is_a_network_with_its_settings(name):
     result = matcher(*views)
     assert result.disparity.shape == (40, 70)
     assert str(result.info).startswith(f"{name} ({level.model}) on torch fp32")
+
+
+def test_levels_that_are_the_same_are_measured_once():
+    opened = []
+
+    def open_level(*choice):
+        opened.append(choice)
+        return Paced(0.001)
+
+    choose_quality(None, 1e6, open_level)
+    assert len({QUALITIES[name] for name, scale in opened if scale is None}) == len(opened) - 2
+
+
+def test_a_level_with_other_settings_is_none():
+    matcher = StereoMatcher.from_pretrained(quality="best", max_disparity=64)
+    assert matcher.quality is None
+    smaller = StereoMatcher.from_pretrained(quality="best", scale=0.5)
+    views = np.random.default_rng(0).integers(0, 255, (2, 40, 70, 3), np.uint8)
+    assert str(smaller(*views).info).startswith("msnet3d at 0.5 of the size on torch fp32")
+    assert smaller.summary == "msnet3d at 0.5 of the size on torch fp32"
+
+
+@pytest.mark.parametrize("scale", [0.1, "0.5", True])
+def test_refused_scales(scale):
+    with pytest.raises(InputError, match=r"scale must be .*in 0\.25\.\.1, got"):
+        StereoMatcher.from_pretrained("msnet2d", scale=scale)
+    with pytest.raises(InputError, match=r"padding to .* and a scale of 0\.5: choose one"):
+        StereoMatcher.from_pretrained("msnet2d", scale=0.5, padding=(64, 96))
 
 
 def test_the_default_is_balanced_and_a_source_has_no_quality():
@@ -58,7 +86,7 @@ def test_the_range_of_disparities_is_chosen_when_it_runs(msnet, tmp_path):
     for path, view in zip(pair, views, strict=True):
         write_png(path, view)
     arguments = ("predict", *pair, "-o", tmp_path / "out")
-    for options in (("--quality", "fast"), ("--model", "sgbm")):
+    for options in (("--quality", "best"), ("--model", "sgbm")):
         code, _, error = msnet(*arguments, *options, "--max-disparity", 64)
         assert code == 0, error
     code, _, error = msnet(*arguments, "--model", "msnet2d", "--max-disparity", 64)
@@ -79,7 +107,9 @@ class Paced:
     ("hz", "expected"),
     [(1, ("best", None)), (30, ("balanced", None)), (300, ("fast", 0.5)), (1e6, ("fast", 0.35))],
 )
-def test_the_best_level_that_keeps_up_with_a_rate(hz, expected):
+def test_the_best_level_that_keeps_up_with_a_rate(hz, expected, monkeypatch):
+    levels = {name: Quality(f"network-{name}") for name in QUALITIES}
+    monkeypatch.setattr("mobilestereonet.inference.rate.QUALITIES", levels)
     times = {("best", None): 0.1, ("balanced", None): 0.01, ("fast", None): 0.02}
     opened = []
 

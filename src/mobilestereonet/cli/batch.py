@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -71,6 +72,8 @@ def batch(
     if ray is not None and options.model != "sgbm":
         options = replace(options, threads=cpus)  # a worker shares its machine
     options = replace(options, weights=options.weights and options.weights.absolute())
+    if options.model is not None and Path(options.model).exists():
+        options = replace(options, model=str(Path(options.model).absolute()))
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     make_folder(output)
     summary = ""

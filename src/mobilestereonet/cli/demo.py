@@ -19,7 +19,7 @@ def demo(
     """Match the real Motorcycle pair that scikit-image brings along, and score the result.
 
     The pair, its calibration and ground truth are written, too, to try other commands on.
-    Without --model and --weights both models are timed, the default and the faster one.
+    Without --model, --weights and --quality the level "fast" is timed as well.
     """
     import torch
 

@@ -131,6 +131,10 @@ class NetworkOptions:
 
     def __post_init__(self) -> None:
         check_trained(self.model, self.weights)
+        if self.is_standalone and self.weights is not None:
+            raise InputError(
+                f"{self.model} has no weights to read from {self.weights}: leave them out"
+            )
 
     @property
     def is_standalone(self) -> bool:
@@ -200,10 +204,6 @@ class MatcherOptions(NetworkOptions):
             )
         if not self.is_standalone:
             return
-        if self.weights is not None:
-            raise InputError(
-                f"{self.model} has no weights to read from {self.weights}: leave them out"
-            )
         given: dict[str, Any] = {"runtime": self.runtime, "precision": self.precision}
         if self.model == "sgbm":
             given |= {"threads": self.threads, "device": self.device}

@@ -142,9 +142,10 @@ def _matcher_for_rate(
     from mobilestereonet.inference.rate import choose_quality
     from mobilestereonet.streams.stream import first_pair
 
-    pair, stream = first_pair(stream)
-    if pair is None:
-        raise InputError("no frame can be read")
+    frame, stream = first_pair(stream)
+    if frame is None or frame.pair is None:
+        raise InputError(f"no frame can be read: {frame.problem if frame else 'there is none'}")
+    pair = frame.pair
 
     def open_level(name: str, scale: float | None) -> StereoMatcher:
         return replace(options, quality=name).open_matcher(scale=scale)

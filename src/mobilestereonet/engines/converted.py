@@ -30,7 +30,7 @@ from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
 
-CONVERSION_VERSION = 1
+CONVERSION_VERSION = 2
 """Part of every conversion's key in the cache.
 
 To be raised when the conversion of an unchanged network changes: by `accelerate`'s form for export,

@@ -14,6 +14,16 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
 
+def check_scale(scale: float) -> None:
+    """Check the factor of a `ScaledEngine`.
+
+    Raises:
+        InputError: If it is not in 0.25..1.
+    """
+    if not 0.25 <= scale <= 1:
+        raise InputError(f"scale must be in 0.25..1, got {scale}")
+
+
 class ScaledEngine:
     """Another engine, run on resized views; its results are in the size and pixels of the views.
 
@@ -31,8 +41,7 @@ class ScaledEngine:
     size_multiple = 1
 
     def __init__(self, engine: Engine, scale: float) -> None:
-        if not 0.25 <= scale <= 1:
-            raise InputError(f"scale must be in 0.25..1, got {scale}")
+        check_scale(scale)
         self.engine = engine
         self.scale = scale
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from mobilestereonet.accelerate.modules import device_of
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine
-from mobilestereonet.engines.scaled import ScaledEngine
+from mobilestereonet.engines.scaled import ScaledEngine, check_scale
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.checks import quick_checks
 from mobilestereonet.inference.pair import (
@@ -43,7 +43,8 @@ class StereoMatcher:
     Attributes:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
-        quality: Name of the quality level that it was made by, see `QUALITIES`; None for others.
+        quality: Name of the quality level that it was made by, see `QUALITIES`; None for others,
+            and for levels with other settings than their own.
     """
 
     engine: Engine
@@ -102,6 +103,11 @@ class StereoMatcher:
                 f"StereoMatcher takes a network or an engine, got {str(model)!r}: names and files "
                 f"go to StereoMatcher.from_pretrained({str(model)!r})"
             )
+        if isinstance(scale, bool) or not isinstance(scale, int | float):
+            raise InputError(f"scale must be a number in 0.25..1, got {scale!r}")
+        check_scale(scale)
+        if padding is not None and scale != 1:
+            raise InputError(f"padding to {padding} and a scale of {scale}: choose one of them")
         for what, size in (("padding", padding), ("tile", tile)):
             if size not in ("auto", None) and not (isinstance(size, Sequence) and len(size) == 2):
                 raise InputError(f"{what} must be (height, width), got {size!r}")
@@ -219,7 +225,8 @@ class StereoMatcher:
             scale=level.scale if scale is None else scale,
             **options,
         )
-        matcher.quality = quality
+        if not (config or overrides or scale is not None):
+            matcher.quality = quality
         return matcher
 
     def to(self, device: str | torch.device) -> StereoMatcher:
@@ -358,6 +365,7 @@ class StereoMatcher:
             height=pairs[0].height,
             seconds=(time.perf_counter() - started) / len(pairs),
             quality=self.quality,
+            scale=self._scale,
         )
         return [
             StereoResult(

@@ -15,13 +15,19 @@ from torch import Tensor
 
 from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.scaled import ScaledEngine
 from mobilestereonet.engines.threads import use_threads
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.consistency import occluded_pixels
 from mobilestereonet.inference.pair import StereoPair
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.subpixel import fit_subpixel
-from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS, TILE_SIZE, match_in_tiles
+from mobilestereonet.inference.tiling import (
+    CONTEXT_PX,
+    MAX_UNTILED_PIXELS,
+    TILE_SIZE,
+    match_in_tiles,
+)
 from mobilestereonet.nets.model import Prediction
 
 Size: TypeAlias = tuple[int, int]
@@ -67,8 +73,9 @@ def predict_disparity(
         return _match_padded(engine, left, right, padding, confidence or refine)
 
     height, width = left.shape[-2:]
+    scale = engine.scale if isinstance(engine, ScaledEngine) else 1.0
     if tile == "auto":
-        large = padding is None and height * width > MAX_UNTILED_PIXELS
+        large = padding is None and height * width * scale**2 > MAX_UNTILED_PIXELS
         tile = TILE_SIZE if large else None
     if tile is None:
         maps = match(left, right)
@@ -80,6 +87,7 @@ def predict_disparity(
             tile=tile,
             max_disparity=engine.max_disparity,
             multiple=engine.size_multiple,
+            context=round(CONTEXT_PX / scale),
         )
     disparity, *more = maps
     if refine:

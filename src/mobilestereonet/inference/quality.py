@@ -22,16 +22,17 @@ class Quality:
     """
 
     model: str
-    config: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict, hash=False)
     scale: float = 1.0
 
 
 QUALITIES = {
-    "fast": Quality("msnet3d", {"hourglasses": 1}, scale=0.75),
+    "fast": Quality("msnet2d"),
     "balanced": Quality("msnet3d"),
     "best": Quality("msnet3d"),
 }
-"""Quality levels by name, from the least time to the least error."""
+"""Quality levels by name, from the least time to the least error; "balanced" is as good as "best"
+until `msnet3d-cascade` has trained weights."""
 
 DEFAULT_MODEL = QUALITIES[DEFAULT_QUALITY].model
 """The network of the default quality."""

@@ -28,7 +28,8 @@ def choose_quality(
     Returns:
         The matcher, and its time for a pair in s. If nothing is fast enough: the fastest.
     """
-    levels: list[tuple[str, float | None]] = [(name, None) for name in reversed(QUALITIES)]
+    different = {level: name for name, level in reversed(QUALITIES.items())}
+    levels: list[tuple[str, float | None]] = [(name, None) for name in different.values()]
     levels += [(next(iter(QUALITIES)), scale) for scale in SMALLER_SCALES]
     for name, scale in levels:
         matcher = open_level(name, scale)

@@ -46,7 +46,8 @@ class RunInfo:
         width: Width of the views in px.
         height: Height of the views in px.
         seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.
-        quality: Quality level that chose the model; None where none did.
+        quality: Quality level that chose the model and its settings; None where none did.
+        scale: Factor of height and width in which the pair was matched.
     """
 
     model: str
@@ -58,9 +59,12 @@ class RunInfo:
     height: int
     seconds: float
     quality: str | None = None
+    scale: float = 1.0
 
     def __str__(self) -> str:
         model = f"{self.quality} ({self.model})" if self.quality else self.model
+        if self.scale != 1:
+            model += f" at {self.scale:g} of the size"
         return f"{model} on {self.engine} {self.precision}, {self.width}x{self.height}"
 
 

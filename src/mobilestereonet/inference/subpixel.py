@@ -103,9 +103,10 @@ def _warp(maps: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
     height, width = disparity.shape[-2:]
     column = torch.arange(width, dtype=disparity.dtype, device=disparity.device) - disparity
     row = torch.linspace(-1, 1, height, dtype=disparity.dtype, device=disparity.device)
-    grid = torch.stack((2 * column / (width - 1) - 1, row[:, None].expand_as(column)), dim=-1)
-    warped = F.grid_sample(maps, grid, padding_mode="border", align_corners=True)
-    return warped, ((column >= 0) & (column <= width - 1)).unsqueeze(1)
+    inside = ((column >= 0) & (column <= width - 1)).unsqueeze(1)
+    column = 2 * column.nan_to_num().clamp(0, width - 1) / (width - 1) - 1
+    grid = torch.stack((column, row[:, None].expand_as(column)), dim=-1)
+    return F.grid_sample(maps, grid, align_corners=True), inside
 
 
 def _window_means(maps: Tensor) -> Tensor:

@@ -43,6 +43,7 @@ def match_in_tiles(
     tile: tuple[int, int],
     max_disparity: int,
     multiple: int,
+    context: int = CONTEXT_PX,
 ) -> Tensor:
     """Match a batch of pairs tile by tile.
 
@@ -55,6 +56,7 @@ def match_in_tiles(
             for those at the upper and the right border, which padding would fill.
         max_disparity: Disparities that the engine searches, in px.
         multiple: Grid of the engine's downsampling, in px.
+        context: Margin of a tile that is matched but not used, in px.
 
     Returns:
         The maps of the left views, (..., H, W).
@@ -63,14 +65,14 @@ def match_in_tiles(
         InputError: If the tiles are too small for their margins.
     """
     height, width = left.shape[-2:]
-    margin = CONTEXT_PX + math.ceil(max_disparity / multiple) * multiple
-    rows = _spans(height, tile[0], CONTEXT_PX, multiple, "height")
+    margin = context + math.ceil(max_disparity / multiple) * multiple
+    rows = _spans(height, tile[0], context, multiple, "height")
     columns = _spans(width, tile[1], margin, multiple, "width")
     above = rows[-1][1] - height
     total: Tensor | None = None
     weights = left.new_zeros(height, width, dtype=torch.float32)
     for top, bottom in rows:
-        row_weights = _weights(top, bottom, rows[-1][1], CONTEXT_PX)[max(above - top, 0) :]
+        row_weights = _weights(top, bottom, rows[-1][1], context)[max(above - top, 0) :]
         vertical = slice(max(top - above, 0), bottom - above)
         for start, end in columns:
             horizontal = slice(start, min(end, width))

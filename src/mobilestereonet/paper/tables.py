@@ -16,7 +16,7 @@ from typing import Any, Literal
 import torch
 
 from mobilestereonet.costs.count import Cost, count_costs
-from mobilestereonet.nets import build_model, list_models
+from mobilestereonet.nets import build_model, list_models, model_info
 
 What = Literal["macs", "params"]
 
@@ -190,12 +190,16 @@ def _own_name(printed: str) -> str | None:
     return finals.get(printed) or names.get(printed.replace("-", "").lower())
 
 
+_DIVISORS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+"""Multiples of networks that take 256 x 512; GA-Net's does not."""
+
+
 def _peers() -> PaperTable:
     rows = []
     for line in _printed()["peers_3d_sceneflow"]:
         model, name = line["model"], _own_name(line["model"])
         cells: tuple[Cell, ...] = ()
-        if name:
+        if name and model_info(name).network.size_multiple in _DIVISORS:
             cells = _cells("Peers", model, _costs(name)["total"], line["macs"], line["params"])
         rows.append(Row(model, {"EPE": line["epe"]}, cells))
     return PaperTable("Peers", "3D networks of others, errors on SceneFlow", tuple(rows))

@@ -50,8 +50,11 @@ class Stream:
     live: bool = False
 
 
-def first_pair(stream: Stream) -> tuple[StereoPair | None, Stream]:
-    """The first pair of a stream that can be read, None if there is none, and the whole stream."""
+def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:
+    """The first frame of a stream that can be read, and the stream with all of its frames.
+
+    Of a stream without a frame that can be read, the last one; None of one without any.
+    """
     seen: list[StereoFrame] = []
     for frame in stream.frames:
         seen.append(frame)
@@ -63,7 +66,7 @@ def first_pair(stream: Stream) -> tuple[StereoPair | None, Stream]:
             yield from seen
             yield from stream.frames
 
-    return (seen[-1].pair if seen else None), replace(stream, frames=again())
+    return (seen[-1] if seen else None), replace(stream, frames=again())
 
 
 def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:

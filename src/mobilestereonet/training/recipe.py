@@ -165,6 +165,11 @@ class Recipe:
                 f"recipe: cross_entropy_target must be {' or '.join(CROSS_ENTROPY_TARGETS)}, got "
                 f"{self.cross_entropy_target!r}"
             )
+        if self.cross_entropy_target != "planes" and not self.cross_entropy > 0:
+            raise InputError(
+                f"recipe: cross_entropy_target={self.cross_entropy_target!r} needs cross_entropy > "
+                f"0, got {self.cross_entropy}: set it, such as cross_entropy=5"
+            )
         if self.teacher is not None and not self.cross_entropy > 0:
             raise InputError(
                 "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
