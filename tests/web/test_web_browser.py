@@ -179,7 +179,7 @@ def test_from_the_upload_to_the_download(visit, folder, expected, tmp_path):
     choose_pair(page, folder)
     fill_in(page, CALIBRATION)
     match(page)
-    assert "msnet3d on torch fp32, 296x200" in page.locator("#facts").inner_text()
+    assert "balanced (msnet3d) on torch fp32, 296x200" in page.locator("#facts").inner_text()
 
     # The pictures under the slider: the left view, and the disparity that `predict` gives.
     shown = page.locator("#disparity img")
