@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from mobilestereonet.accelerate.soft_argmax import SCALE, cached_rows, intervals
+from mobilestereonet.accelerate.soft_argmax import SCALE, cached_rows, intervals, keep_derivative
 
 LAPLACE_PX = 0.8
 """Scale of the Laplacian around a disparity, in px: that of Xu et al. (CVPR 2024)."""
@@ -29,7 +29,7 @@ LAPLACE_PX = 0.8
 def disparity_cross_entropy(scores: Tensor, centres: Tensor, shares: Tensor) -> Tensor:
     """Cross entropy of scores against Laplacians around some disparities.
 
-    The Laplacian of a disparity between two whole ones is the mixture of theirs, so that its mean
+    The Laplacian of a disparity between two whole ones mixes those of the two, so that its mean
     is that disparity to any fraction (but near the ends of the range).
 
     Args:
@@ -76,11 +76,6 @@ def _(scores: Tensor, centres: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
     return torch.empty_like(scores[:, 0]), torch.empty_like(scores)
 
 
-def _keep_derivative(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
-    ctx.mark_non_differentiable(output[1])
-    ctx.save_for_backward(output[1])
-
-
 def _backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Tensor, None, None]:
     if torch.is_grad_enabled():
         raise RuntimeError("the cross entropy in closed form has no second derivative")
@@ -88,7 +83,7 @@ def _backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Tensor, None, None]:
     return derivative * grad.unsqueeze(1), None, None
 
 
-_cross_entropy.register_autograd(_backward, setup_context=_keep_derivative)
+_cross_entropy.register_autograd(_backward, setup_context=keep_derivative)
 
 
 def _loss_and_derivative(

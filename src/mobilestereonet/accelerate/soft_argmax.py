@@ -226,7 +226,8 @@ def _(scores: Tensor, mode: bool) -> tuple[Tensor, Tensor]:
     return torch.empty_like(scores[:, 0]), torch.empty_like(scores)
 
 
-def _keep_derivative(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
+def keep_derivative(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
+    """Keep what an operator gives besides its result, its derivative, for the way back."""
     ctx.mark_non_differentiable(output[1])
     ctx.save_for_backward(output[1])
 
@@ -240,7 +241,7 @@ def _backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Tensor, None]:
     return derivative * grad.unsqueeze(1), None
 
 
-_soft_argmax.register_autograd(_backward, setup_context=_keep_derivative)
+_soft_argmax.register_autograd(_backward, setup_context=keep_derivative)
 
 
 def _disparity_and_derivative(

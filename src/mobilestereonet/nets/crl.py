@@ -6,8 +6,6 @@ corrects its disparity scale by scale.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
@@ -15,8 +13,8 @@ from mobilestereonet.nets.dispnet import BGRModel, Corr1DStage, down
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     DecoderLevel,
+    RegressionConfig,
     RegressionOutputs,
-    check_width,
     conv,
     initialise,
     positive,
@@ -26,20 +24,8 @@ from mobilestereonet.nets.regression import (
 from mobilestereonet.nets.resampling import along_rows, downsample, remap
 
 
-@dataclass(frozen=True, kw_only=True)
-class CRLConfig:
-    """CRL as data.
-
-    Attributes:
-        max_disparity: Disparities below this are trained on; the network can give any.
-        width: Channels of the first convolution, to which all others are in proportion.
-    """
-
-    max_disparity: int = 192
-    width: int = 64
-
-    def __post_init__(self) -> None:
-        check_width(self.width)
+class CRLConfig(RegressionConfig):
+    """CRL as data."""
 
 
 class ResidualStage(nn.Module):

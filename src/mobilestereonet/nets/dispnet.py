@@ -20,6 +20,7 @@ from mobilestereonet.nets.operations import correlation_1d
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     DecoderLevel,
+    RegressionConfig,
     RegressionModel,
     RegressionOutputs,
     check_width,
@@ -38,20 +39,8 @@ CORRELATION = 2 * REACH + 1
 """Channels of the correlation."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DispNetCorr1DConfig:
-    """DispNet-Corr1D as data.
-
-    Attributes:
-        max_disparity: Disparities below this are trained on; the network can give any.
-        width: Channels of the first convolution, to which all others are in proportion.
-    """
-
-    max_disparity: int = 192
-    width: int = 64
-
-    def __post_init__(self) -> None:
-        check_width(self.width)
+class DispNetCorr1DConfig(RegressionConfig):
+    """DispNet-Corr1D as data."""
 
 
 class Stage(NamedTuple):

@@ -20,6 +20,7 @@ from mobilestereonet.nets.operations import correlation_1d
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     DecoderLevel,
+    RegressionConfig,
     RegressionModel,
     RegressionOutputs,
     check_width,
@@ -160,20 +161,8 @@ class IResNet(BGRModel):
         return RegressionOutputs(positive(predictions), -disparity[:, 0])
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReversingConfig:
-    """The variant of "Reversing the cycle" as data.
-
-    Attributes:
-        max_disparity: Disparities below this are trained on; the network can give any.
-        width: Channels of the first convolution, to which all others are in proportion.
-    """
-
-    max_disparity: int = 192
-    width: int = 64
-
-    def __post_init__(self) -> None:
-        check_width(self.width)
+class ReversingConfig(RegressionConfig):
+    """The variant of "Reversing the cycle" as data."""
 
 
 @register_model(

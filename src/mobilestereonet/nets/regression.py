@@ -7,6 +7,7 @@ of the full resolution at every scale; so do the blocks here. `RegressionOutputs
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -84,6 +85,22 @@ def coarse_l1(prediction: Tensor, disparity: Tensor, valid: Tensor) -> Tensor:
     known = share > 0
     error = (prediction - truth / share.where(known, 1)).abs()
     return torch.where(known, error, 0).sum() / known.sum().clamp_min(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegressionConfig:
+    """What the networks that regress the disparity have in common, as data.
+
+    Attributes:
+        max_disparity: Disparities below this are trained on; the network can give any.
+        width: Channels of the first convolution, to which all others are in proportion.
+    """
+
+    max_disparity: int = 192
+    width: int = 64
+
+    def __post_init__(self) -> None:
+        check_width(self.width)
 
 
 def check_width(width: int) -> None:

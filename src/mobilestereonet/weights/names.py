@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
 Rule = tuple[str, Callable[..., str]]
 """A pattern of our names' beginnings, and the release's text for its numbers."""
+
+
+def substituted(name: str, rules: Sequence[tuple[str, Any]]) -> str:
+    """A name after all substitutions of `re.sub`, one after the other.
+
+    Args:
+        name: The name.
+        rules: Patterns, and what takes their place.
+    """
+    for pattern, replacement in rules:
+        name = re.sub(pattern, replacement, name)
+    return name
 
 
 def released_name(name: str, rules: Sequence[Rule]) -> str:

@@ -12,6 +12,7 @@ from torch import Tensor
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.fast_ds_cs import EPSILON
 from mobilestereonet.weights.files import WeightsFile
+from mobilestereonet.weights.names import substituted
 from mobilestereonet.weights.shapes import registered_shapes
 
 NETWORK = "fast-ds-cs"
@@ -60,9 +61,7 @@ def released_array(name: str) -> str | None:
     """What the release calls a tensor of ours; None for statistics, which it has folded in."""
     if ".running_" in name:
         return None
-    for pattern, replacement in _RULES:
-        name = re.sub(pattern, replacement, name)
-    return name
+    return substituted(name, _RULES)
 
 
 def tensor(name: str, arrays: dict[str, Tensor]) -> Tensor:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from mobilestereonet.nets import model_config
+from mobilestereonet.weights.names import substituted
 
 _PREFIXES = (
     (r"features\.first\.(\d)\.0\.", "feature_extraction.firstconv.{0}."),
@@ -175,6 +176,4 @@ def released_name(network: str, name: str) -> str:
     """
     if network not in _RULES:
         return authors_key(name, model_config(network))
-    for pattern, replacement in _RULES[network]:
-        name = re.sub(pattern, replacement, name)
-    return name
+    return substituted(name, _RULES[network])

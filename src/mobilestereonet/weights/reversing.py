@@ -54,7 +54,7 @@ def from_reversing(weights: WeightsFile) -> WeightsFile:
     convolutions after a concatenation change places.
 
     Raises:
-        InputError: If some names are theirs, but not all, or there are more.
+        InputError: If some names are of that release, but not all, or there are more.
     """
     prefix = next((key.partition(_MARK)[0] for key in weights.state if _MARK in key), None)
     if prefix is None:
