@@ -80,6 +80,26 @@ class Calibration:
             )
         raise InputError(message)
 
+    def resized(self, size: tuple[int, int]) -> Calibration:
+        """Calibration of the views resized to another width and height.
+
+        Raises:
+            InputError: If its own size is unknown.
+        """
+        if self.size is None:
+            raise InputError("a calibration that tells no size cannot follow a resizing")
+        fx, fy = size[0] / self.size[0], size[1] / self.size[1]
+        focal, focal_y = self.focal * fx, self.focal_lengths[1] * fy
+        return Calibration(
+            focal=focal,
+            baseline=self.baseline,
+            doffs=self.doffs * fx,
+            cx=None if self.cx is None else (self.cx + 0.5) * fx - 0.5,
+            cy=None if self.cy is None else (self.cy + 0.5) * fy - 0.5,
+            size=size,
+            focal_y=None if focal == focal_y else focal_y,
+        )
+
     def principal_point(self, width: int, height: int) -> tuple[float, float]:
         """Column and row of the left view's principal point; the view's middle if unknown."""
         return (

@@ -1,0 +1,6 @@
+"""The geometry of stereo cameras, from whatever describes them."""
+
+from mobilestereonet.data.rig.cameras import Camera, CameraPair
+from mobilestereonet.data.rig.rig import Geometry, Rig
+
+__all__ = ["Camera", "CameraPair", "Geometry", "Rig"]
