@@ -47,7 +47,7 @@ from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.engines.benchmark import EagerNetwork
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.memory import keep_freed_memory
-from mobilestereonet.nets import StereoModel, build_model
+from mobilestereonet.nets import StereoModel, build_model, model_info
 from mobilestereonet.weights import embedded_models, load_model
 
 ENGINES = (
@@ -94,8 +94,9 @@ class Case:
 
     def views(self) -> tuple[Tensor, Tensor]:
         pair = motorcycle()
+        preprocessing = model_info(self.model).network.preprocessing
         left, right = (
-            F.interpolate(self.net().preprocessing(view)[None], self.height_width, mode="bilinear")
+            F.interpolate(preprocessing(view)[None], self.height_width, mode="bilinear")
             for view in (pair.left, pair.right)
         )
         return left, right

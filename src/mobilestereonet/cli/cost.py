@@ -15,7 +15,7 @@ from mobilestereonet.cli.options import AsJson
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
-    from mobilestereonet.paper.tables import PaperTable
+    from mobilestereonet.paper.rows import Cell, PaperTable
 
 _SIZE = (256, 512)
 
@@ -94,31 +94,27 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
 
 
 def _print_paper(plot: Path | None, as_json: bool) -> None:
-    from mobilestereonet.paper import blocks, tables
+    from mobilestereonet.paper import blocks, peers, tables
 
     if plot:
         blocks.plot_expansion(plot)
-    ablations = tables.paper_tables()
+    printed = tables.paper_tables()
     if as_json:
-        cells = [asdict(cell) for table in ablations for row in table.rows for cell in row.cells]
+        cells = [asdict(cell) for table in printed for row in table.rows for cell in row.cells]
         print(json.dumps(cells, indent=2))
         return
     print(
         "Errors are the paper's figures. ! marks a cost that does not agree with the printed one."
     )
     _print_blocks()
-    for table in ablations:
+    for table in printed:
         _print_rows(table)
     _print_table(
-        "Model size: checkpoint file in MB (1e6 bytes)",
+        "Table 7: checkpoint file in MB (1e6 bytes)",
         ["model", "measured", "paper"],
         [
-            [
-                size.model,
-                "" if size.measured is None else f"{size.measured:.2f}",
-                f"{size.printed:.2f}",
-            ]
-            for size in tables.model_sizes()
+            [size.model, f"{size.measured:.2f}", f"{size.printed:.2f}"]
+            for size in peers.model_sizes()
         ],
     )
     if plot:
@@ -157,21 +153,32 @@ def _print_blocks() -> None:
 
 
 def _print_rows(table: PaperTable) -> None:
-    """A table with costs (counted and printed) and printed errors, and the notes to its cells."""
+    """A table with printed errors and costs (counted and printed), and the notes to them."""
     errors = list(dict.fromkeys(error for row in table.rows for error in row.errors))
-    headers = ["row", *errors]
-    if any(row.cells for row in table.rows):
-        headers += ["MACs G\ncounted", "\npaper", "params M\ncounted", "\npaper"]
-    lines = []
-    for row in table.rows:
-        line = [row.name]
-        line += [f"{row.errors[error]:.2f}" if error in row.errors else "" for error in errors]
-        for cell in row.cells:
-            line += [f"{cell.counted:.3f}{'' if cell.agrees else ' !'}", f"{cell.printed:.2f}"]
-        lines.append(line)
+    lines = [
+        [row.name, *(f"{row.errors[error]:.2f}" if error in row.errors else "" for error in errors)]
+        for row in table.rows
+    ]
+    headers = ["row", *(error.replace(" ", "\n") for error in errors)]
+    for what, title in (("macs", "MACs G"), ("params", "params M")):
+        column = [next((c for c in row.cells if c.what == what), None) for row in table.rows]
+        counted = ["" if cell is None else _counted(cell) for cell in column]
+        printed = ["" if cell is None else _number(cell.printed, 2) for cell in column]
+        for header, texts in ((f"{title}\ncounted", counted), ("\npaper", printed)):
+            if any(texts):
+                headers.append(header)
+                lines = [[*line, text] for line, text in zip(lines, texts, strict=True)]
     _print_table(f"{table.name}: {table.caption}", headers, lines)
-    for cell in (cell for row in table.rows for cell in row.cells if cell.note):
-        print(f"{'  ' if cell.agrees else '! '}{cell.row}, {cell.what}: {cell.note}")
+    for note in table.notes():
+        print(f"{'  ' if note.agrees else '! '}{note.row}, {note.column}: {note.text}")
+
+
+def _counted(cell: Cell) -> str:
+    return _number(cell.counted, 3) + ("" if cell.agrees else " !")
+
+
+def _number(value: float | None, decimals: int) -> str:
+    return "" if value is None else f"{value:.{decimals}f}"
 
 
 def _print_table(title: str, headers: list[str], lines: list[list[str]]) -> None:

@@ -108,6 +108,8 @@ def count_costs(
     height: int = 256,
     width: int = 512,
     config: Mapping[str, Any] | None = None,
+    *,
+    elementwise: bool = True,
 ) -> dict[str, Cost]:
     """MACs and parameters per part and in total, by shapes alone: nothing is computed.
 
@@ -116,6 +118,7 @@ def count_costs(
         height: Height of a view, a multiple of the network's ``size_multiple``.
         width: Width of a view, likewise.
         config: With a name, fields of the network's config to change.
+        elementwise: Count norms, activations, pools and upsampling in the paper's column, too.
 
     Returns:
         Cost of each part, by the names of the network's attributes, and, last, "total".
@@ -133,7 +136,7 @@ def count_costs(
     costs: defaultdict[str, Cost] = defaultdict(Cost)
     called: set[str] = set()
     for name, module in net.named_modules():
-        module.register_forward_hook(partial(_record, name, costs, called))
+        module.register_forward_hook(partial(_record, name, costs, called, elementwise))
         if isinstance(module, (*_NORMS, *_ACTIVATIONS)):
             # Most of the time of a pass would go into their meta kernels.
             module.forward = _same  # type: ignore[method-assign, assignment]
@@ -162,6 +165,7 @@ def _record(
     name: str,
     costs: defaultdict[str, Cost],
     called: set[str],
+    elementwise: bool,
     layer: nn.Module,
     inputs: tuple[Any, ...],
     output: Any,
@@ -170,7 +174,7 @@ def _record(
     called.add(name)
     if isinstance(output, Tensor) and inputs and isinstance(inputs[0], Tensor):
         exact, paper = layer_macs(layer, inputs[0], output)
-        if exact or paper:
+        if exact or (paper and elementwise):
             costs[name.partition(".")[0]] += Cost(macs=exact, paper_macs=paper)
 
 

@@ -111,21 +111,30 @@ def draw_pareto(points: Sequence[ParetoPoint], time: str, error: str) -> Figure:
     # Pixels of the canvas are known once the layout is.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    _label(axes, points)
+    label_points(axes, points, [_MARKER_SIZE_PT] * len(points))
     return figure
 
 
-def _label(axes: Axes, points: Sequence[ParetoPoint]) -> None:
-    """Write the names at places where they cover neither each other, a point nor the front."""
+def label_points(
+    axes: Axes, points: Sequence[ParetoPoint], sizes: Sequence[float], fontsize: float | None = None
+) -> None:
+    """Write the names at places where they cover neither each other, a point nor the front.
+
+    Args:
+        axes: Axes of a figure whose layout is done; their first line is the front.
+        points: The points.
+        sizes: Diameters of their markers, in units of 1/72 inch.
+        fontsize: Of the names, likewise.
+    """
     from matplotlib.transforms import Bbox
 
     places = axes.transData.transform([(p.seconds, p.error) for p in points])
-    radius = _MARKER_SIZE_PT * axes.figure.dpi / 72 / 2
-    taken = [Bbox([place - radius, place + radius]) for place in places]
+    radii = [size * axes.figure.dpi / 72 / 2 for size in sizes]
+    taken = [Bbox([at - radius, at + radius]) for at, radius in zip(places, radii, strict=True)]
     front = axes.transData.transform_path(axes.lines[0].get_path())
     for point in points:
         at = (point.seconds, point.error)
-        label = axes.annotate(point.name, at, (0, 0), textcoords="offset points")
+        label = axes.annotate(point.name, at, (0, 0), textcoords="offset points", fontsize=fontsize)
         # The fewest things covered, then the nearest place.
         costs = []
         for index, offset in enumerate(_LABEL_PLACES):

@@ -17,7 +17,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import EvaluationProtocol, evaluate
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import list_models, model_config
-from mobilestereonet.paper.tables import paper_tables
+from mobilestereonet.paper.tables import ablation_tables
 from mobilestereonet.training.data import RunData
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import train
@@ -156,7 +156,7 @@ def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
 
 def ablation_table(rows: Sequence[AblationRow], recipe: Recipe) -> Table:
     """The rows beside the paper's figures, with what such a comparison can tell."""
-    printed = {row.name: row.errors for table in paper_tables() for row in table.rows}
+    printed = {row.name: row.errors for table in ablation_tables() for row in table.rows}
     counted = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
     length = recipe.duration or counted
     table = Table(
