@@ -10,7 +10,7 @@ import pytest
 EXTRAS = (
     *("lightning", "pytorch_lightning", "torchmetrics", "tensorboard", "kornia", "scipy"),
     *("skimage", "PIL", "imageio", "matplotlib", "onnx", "onnxruntime", "openvino"),
-    *("huggingface_hub", "av", "gradio", "ray"),
+    *("huggingface_hub", "av", "gradio", "ray", "rosbags", "rerun"),
 )
 """Modules that the base install does not bring."""
 
@@ -74,11 +74,16 @@ def test_predict_and_evaluate_need_no_extra(pair_folder):
             ("cost", "--paper", "--plot", "curve.png"),
             'matplotlib is not installed: pip install "mobilestereonet[plots]"',
         ),
+        (
+            ("video", "run.mcap", "--frames", "maps"),
+            'rosbags is not installed: pip install "mobilestereonet[bags]"',
+        ),
         (("web",), 'gradio is not installed: pip install "mobilestereonet[web]"'),
     ],
 )
 def test_a_missing_extra_is_named(arguments, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.mcap").touch()
     done = base_msnet(*arguments)
     assert done.returncode == 2
     assert message in done.stderr

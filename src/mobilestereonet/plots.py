@@ -10,7 +10,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,6 +21,9 @@ from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MapLike = Tensor | NDArray[Any]
 _Curve = tuple[list[float], list[float]]
@@ -189,6 +192,33 @@ def _contact_row(sample: StereoSample, width: int) -> Picture:
         ],
         titles,
     )
+
+
+def plot_maps(
+    maps: Sequence[tuple[str, NDArray[Any], dict[str, Any]]], figure: Figure | None = None
+) -> Figure:
+    """Draw pictures and maps beside each other; a map of one number per pixel has a colour bar.
+
+    Args:
+        maps: Title, array (H, W) or (H, W, 3), and options of Matplotlib's ``imshow``.
+        figure: Figure to draw in; by default a new one.
+
+    Raises:
+        InputError: If Matplotlib is not installed.
+    """
+    with needs_extra("plots"):
+        from matplotlib.figure import Figure
+    height, width = maps[0][1].shape[:2]
+    figure = Figure(layout="constrained") if figure is None else figure
+    figure.set_size_inches(6 * len(maps), 6 * height / width + 0.4)
+    panels = figure.subplots(1, len(maps), squeeze=False).ravel()
+    for axes, (title, values, options) in zip(panels, maps, strict=True):
+        shown = axes.imshow(values, **options)
+        axes.set_title(title)
+        axes.set_axis_off()
+        if values.ndim == 2:
+            figure.colorbar(shown, ax=axes, shrink=0.8)
+    return figure
 
 
 def plot_curves(logs: Sequence[Path], picture: Path) -> None:

@@ -65,6 +65,7 @@ UNITS = ("m", "mm")
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")
 POINTS_ENDINGS = (".ply", ".glb")
 VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
+BAG_ENDINGS = (".mcap", ".bag")
 
 _WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ import typer
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.sinks import SinkOptions, TopicOptions
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ def video(
         str,
         typer.Argument(
             help="Side-by-side video, or the left view's: a file; a camera's number, device or "
-            "address; a folder or a pattern of images."
+            "address; a folder or a pattern of images. Or a bag: .mcap, .bag, .db3 or its folder."
         ),
     ],
     right: Annotated[str | None, typer.Argument(help="The right view's, likewise.")] = None,
@@ -67,16 +69,20 @@ def video(
         ),
     ] = None,
     *,
+    topics: TopicOptions,
+    sinks: SinkOptions,
     options: MatcherOptions,
     cameras: CalibrationOptions,
 ) -> None:
-    """Match a video, a camera or an image sequence. Ctrl-C ends it and keeps what there is."""
-    if output is None and frames is None:
-        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER or both")
+    """Match a video, a camera, a bag or an image sequence. Ctrl-C ends it; what there is stays."""
+    if output is None and frames is None and not sinks.given:
+        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER, --bag or --rerun")
     if output is None and beside:
         raise InputError("--beside needs --output VIDEO, whose pictures it widens")
-    if frames is None and (resume or cameras.given):
-        raise InputError("--resume and depth need --frames FOLDER, where the frames' maps are kept")
+    if frames is None and resume:
+        raise InputError("--resume needs --frames FOLDER, where the frames' maps are kept")
+    if frames is None and not sinks.given and cameras.given:
+        raise InputError("depth needs --frames FOLDER, --bag or --rerun: a video does not show it")
     if hz is not None and (options.quality is not None or not options.is_default):
         raise InputError(
             f"--hz {hz:g} chooses the network: leave out --quality, --model and --weights"
@@ -92,12 +98,13 @@ def video(
     calibration = cameras.read()
     if output is not None:
         check_video_file(output)
-        for source in (left, right or left):
-            if Path(source.removeprefix("file://")).resolve() == output.resolve():
-                raise InputError(
-                    f"{output}: the video would replace its source; choose another name"
-                )
-    stream = open_stream(left, right, fps)
+    outputs = [str(path) for path in (output, *sinks.given) if path is not None]
+    for source in (left, right or left):
+        for path in outputs:
+            if Path(source.removeprefix("file://")).resolve() == Path(path).resolve():
+                raise InputError(f"{path}: it would replace its source; choose another name")
+    stream = open_stream(left, right, fps, **asdict(topics))
+    calibration = calibration or stream.calibration
     if hz is None:
         matcher = options.open_matcher()
     else:
@@ -105,7 +112,7 @@ def video(
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
     started = time.perf_counter()
     stop = Event()
-    with progress_bar("frames") as progress, sigint_sets_event(stop):
+    with ExitStack() as stack, progress_bar("frames") as progress, sigint_sets_event(stop):
         task = progress.add_task("matching", total=stream.total)
 
         def report(frame: StereoFrame) -> None:
@@ -118,6 +125,7 @@ def video(
             matcher,
             video=output,
             frames=None if frames is None else MapFiles(frames, kinds),
+            sinks=sinks.open(stack, matcher, stream.topics),
             resume=resume,
             beside=beside,
             calibration=calibration,
@@ -125,7 +133,7 @@ def video(
             report=report,
         )
     rate = stats.matched / (time.perf_counter() - started)
-    written = " and ".join(str(path) for path in (output, frames) if path is not None)
+    written = " and ".join(str(path) for path in (*outputs, frames) if path is not None)
     print(f"{written}: {stats.matched} frames, {rate:.2f} per second, {matcher.summary}")
     if stats.broken:
         print(f"{stats.broken} broken frame{'s' * (stats.broken > 1)} skipped")

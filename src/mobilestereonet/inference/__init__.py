@@ -3,6 +3,7 @@
 from mobilestereonet.inference.checks import Finding, check_pair
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.inference.matcher import StereoMatcher
+from mobilestereonet.inference.mesh import Mesh
 from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
 from mobilestereonet.inference.quality import DEFAULT_MODEL, DEFAULT_QUALITY, QUALITIES, Quality
 from mobilestereonet.inference.rectify import rectify_pair
@@ -14,6 +15,7 @@ __all__ = [
     "QUALITIES",
     "Finding",
     "ImageLike",
+    "Mesh",
     "PointCloud",
     "Quality",
     "RunInfo",

@@ -117,24 +117,36 @@ def check_points_file(path: str | Path) -> Path:
     return path
 
 
+def point_map(depth: FloatMap, calibration: Calibration) -> FloatMap:
+    """Point of each pixel in the left camera's frame.
+
+    Args:
+        depth: (H, W) in metres, 0 where it is not known.
+        calibration: Geometry of the pair. The principal point is the middle of the picture if it
+            is not known.
+
+    Returns:
+        (H, W, 3) float32 in metres; NaN where the depth is not known.
+    """
+    height, width = depth.shape
+    cx, cy = calibration.principal_point(width, height)
+    fx, fy = calibration.focal_lengths
+    z = np.where(depth > 0, depth, np.float32(np.nan))
+    rows, columns = np.mgrid[:height, :width]
+    x, y = (columns - cx) * z / fx, (rows - cy) * z / fy
+    return np.stack((x, y, z), axis=-1).astype(np.float32)
+
+
 def point_cloud(depth: FloatMap, colours: Picture, calibration: Calibration) -> PointCloud:
     """Points of a depth map in the left camera's frame.
 
     Args:
         depth: (H, W) in metres, 0 where there is no point.
         colours: (H, W, 3) uint8 RGB.
-        calibration: Geometry of the pair. The principal point is the middle of the picture if it
-            is not known.
+        calibration: See `point_map`.
 
     Returns:
         One point per pixel with a depth, row by row.
     """
-    height, width = depth.shape
-    cx, cy = calibration.principal_point(width, height)
-    rows, columns = np.nonzero(depth)
-    z = depth[rows, columns]
-    fx, fy = calibration.focal_lengths
-    x, y = (columns - cx) * z / fx, (rows - cy) * z / fy
-    return PointCloud(
-        points=np.stack((x, y, z), axis=1).astype(np.float32), colours=colours[rows, columns]
-    )
+    known = depth > 0
+    return PointCloud(points=point_map(depth, calibration)[known], colours=colours[known])

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -16,15 +16,21 @@ from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_pn
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference.checks import Finding
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,
     depth_from_disparity,
     point_cloud,
+    point_map,
 )
-from mobilestereonet.plots import colour_disparity, side_by_side
+from mobilestereonet.inference.mesh import Mesh, surface
+from mobilestereonet.plots import colour_disparity, plot_maps, side_by_side
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL.Image import Image as PILImage
 
 MAX_PNG_DISPARITY_PX = 65535 / KITTI_SCALE
 """Largest disparity that a 16-bit PNG holds."""
@@ -116,19 +122,38 @@ class StereoResult:
         _, png = cv2.imencode(".png", picture[..., ::-1])
         return png.tobytes()
 
-    def depth(self, calibration: Calibration) -> FloatMap:
+    def depth(
+        self,
+        calibration: Calibration | None = None,
+        *,
+        focal: float | None = None,
+        baseline: float | None = None,
+        doffs: float = 0.0,
+    ) -> FloatMap:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
 
         Args:
-            calibration: Geometry of the pair, for the left view's size.
+            calibration: Geometry of the pair, for the left view's size. Or, in its place:
+            focal: Focal length in px.
+            baseline: Distance between the cameras in metres.
+            doffs: Difference of the principal points, right minus left, in px.
 
         Returns:
             (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is
             where ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
 
         Raises:
-            InputError: If the calibration is known to be of another size.
+            InputError: If the calibration is known to be of another size, or there is none, or
+                there are two.
         """
+        if calibration is not None and (focal is not None or baseline is not None or doffs):
+            raise InputError("depth takes a calibration, or focal and baseline: leave one out")
+        if calibration is None:
+            if focal is None or baseline is None:
+                raise InputError(
+                    "depth needs a calibration, or focal= (px) and baseline= (m), both of them"
+                )
+            calibration = Calibration(focal=focal, baseline=baseline, doffs=doffs)
         return depth_from_disparity(self.disparity, self.valid, calibration)
 
     def points(
@@ -157,21 +182,118 @@ class StereoResult:
             InputError: If the calibration is known to be of another size, or ``min_confidence`` is
                 asked for where the confidence is not known.
         """
+        kept = self._kept_depth(calibration, max_depth, min_confidence)
+        if not edges:
+            kept = np.where(depth_edges(self.disparity, self.valid), np.float32(0), kept)
+        return point_cloud(kept, self.left, calibration)
+
+    def mesh(
+        self,
+        calibration: Calibration,
+        *,
+        max_depth: float = math.inf,
+        min_confidence: float = 0.0,
+        edges: bool = False,
+        step: int = 1,
+    ) -> Mesh:
+        """Textured surface in the left camera's frame, cut at depth edges.
+
+        Pixels that fail the left-right check, if there was one, are no part of it.
+
+        Args:
+            calibration: Geometry of the pair, for the left view's size.
+            max_depth: What is farther is left out, in metres.
+            min_confidence: What is less confident is left out.
+            edges: True joins the two sides of depth edges, too.
+            step: Every how many pixels there is a vertex: 2 makes the file a quarter as large.
+
+        Raises:
+            InputError: If the calibration is known to be of another size, ``step`` is below 1, or
+                ``min_confidence`` is asked for where the confidence is not known.
+        """
+        if step < 1:
+            raise InputError(f"step must be 1 or more, got {step}")
+        points = point_map(self._kept_depth(calibration, max_depth, min_confidence), calibration)
+        return surface(points, self.disparity, self.left, step=step, edges=edges)
+
+    def _kept_depth(
+        self, calibration: Calibration, max_depth: float, min_confidence: float
+    ) -> FloatMap:
+        """Depth in metres, 0 where it is not known, too far, or not to be trusted."""
         if min_confidence > 0 and self.confidence is None:
             raise InputError(
                 f"min_confidence {min_confidence:g} needs a matcher with confidence=True"
             )
-        kept = self.valid if edges else self.valid & ~depth_edges(self.disparity, self.valid)
+        depth = self.depth(calibration)
+        kept = depth <= max_depth
         if self.confidence is not None:
-            kept = kept & (self.confidence >= min_confidence)
+            kept &= self.confidence >= min_confidence
         if self.occluded is not None:
-            kept = kept & ~self.occluded
-        depth = np.where(kept, self.depth(calibration), np.float32(0))
-        return point_cloud(np.where(depth <= max_depth, depth, 0), self.left, calibration)
+            kept &= ~self.occluded
+        return np.where(kept, depth, np.float32(0))
+
+    def to_open3d(self, calibration: Calibration, **limits: Any) -> Any:
+        """The points as ``open3d.geometry.PointCloud``, in the left camera's frame.
+
+        Args:
+            calibration: Geometry of the pair, for the left view's size.
+            **limits: ``max_depth``, ``min_confidence`` and ``edges``, see `points`.
+
+        Raises:
+            InputError: As `points`, or if Open3D is not installed.
+        """
+        try:
+            import open3d
+        except ModuleNotFoundError:
+            raise InputError("open3d is not installed: pip install open3d") from None
+        cloud = self.points(calibration, **limits)
+        converted = open3d.geometry.PointCloud()
+        converted.points = open3d.utility.Vector3dVector(cloud.points.astype(np.float64))
+        converted.colors = open3d.utility.Vector3dVector(cloud.colours / 255)
+        return converted
 
     def picture(self) -> Picture:
         """The left view beside the coloured disparity, (H, 2 W + gap, 3) uint8 RGB."""
         return side_by_side([self.left, colour_disparity(self.disparity, valid=self.valid)])
+
+    def to_pil(self) -> PILImage:
+        """The disparity's colours as a PIL image, of the left view's size.
+
+        Raises:
+            InputError: If Pillow is not installed.
+        """
+        with needs_extra("mesh", "picture() gives an array"):
+            from PIL import Image
+        return Image.fromarray(colour_disparity(self.disparity, valid=self.valid))
+
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Left view, disparity in px and, if there is one, confidence, as a Matplotlib figure.
+
+        Args:
+            figure: Figure to draw in; by default a new one, which `show` and notebooks show.
+
+        Raises:
+            InputError: If Matplotlib is not installed.
+        """
+        known = np.where(self.valid, self.disparity, np.float32(np.nan))
+        maps: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
+            ("left view", self.left, {}),
+            ("disparity (px)", known, {"cmap": "turbo", "vmin": 0}),
+        ]
+        if self.confidence is not None:
+            maps.append(("confidence", self.confidence, {"cmap": "grey", "vmin": 0, "vmax": 1}))
+        return plot_maps(maps, figure)
+
+    def show(self) -> None:
+        """Show `plot` in a window, or below a notebook's cell.
+
+        Raises:
+            InputError: If Matplotlib is not installed.
+        """
+        with needs_extra("plots"):
+            from matplotlib import pyplot
+        self.plot(pyplot.figure(layout="constrained"))
+        pyplot.show()
 
     def save(self, folder: str | Path, stem: str) -> dict[str, Path]:
         """Write the maps and a picture, each file atomically.

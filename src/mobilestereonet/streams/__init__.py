@@ -1,18 +1,22 @@
 """Matching of many pairs: videos, cameras, folders, clusters."""
 
+from mobilestereonet.streams.bag_file import BagFile
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.cluster import match_on_ray
 from mobilestereonet.streams.maps import MAP_KINDS, MapFiles
 from mobilestereonet.streams.open import open_stream
 from mobilestereonet.streams.pairs import PairFiles, find_pairs
+from mobilestereonet.streams.rerun_log import RerunLog
 from mobilestereonet.streams.stream import StereoFrame, Stream
 from mobilestereonet.streams.video import VideoStats, match_video
 
 __all__ = [
     "MAP_KINDS",
+    "BagFile",
     "MapFiles",
     "PairFiles",
     "PairStatus",
+    "RerunLog",
     "StereoFrame",
     "Stream",
     "VideoStats",

@@ -1,30 +1,49 @@
-"""Opening of streams: videos, cameras and image sequences."""
+"""Opening of streams: videos, cameras, bags and image sequences."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.streams.bags import TOLERANCE_S, is_bag, open_bag
 from mobilestereonet.streams.captures import is_capture, open_captures
 from mobilestereonet.streams.pairs import find_pairs, read_pairs
 from mobilestereonet.streams.stream import Stream
 from mobilestereonet.streams.video_files import open_videos
 
 
-def open_stream(left: str, right: str | None = None, fps: float = 10.0) -> Stream:
-    """Open a video, a camera or an image sequence.
+def open_stream(
+    left: str,
+    right: str | None = None,
+    fps: float = 10.0,
+    *,
+    left_topic: str | None = None,
+    right_topic: str | None = None,
+    tolerance: float = TOLERANCE_S,
+) -> Stream:
+    """Open a video, a camera, a bag or an image sequence.
 
     Args:
         left: A video file; the number of a camera, its device or an address; or, for an image
             sequence, a folder or a pattern. Without ``right`` it shows both views side by side.
+            Or a bag, which has both views as topics.
         right: The same of the right view.
         fps: Frames per second of an image sequence.
+        left_topic: Topic of a bag's left images.
+        right_topic: Topic of its right images.
+        tolerance: Largest difference between the stamps of a pair of a bag, in s.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
         InputError: If it cannot be opened, or the two do not belong together.
     """
     sources = [left] if right is None else [left, right]
+    if any(map(is_bag, sources)):
+        if right is not None:
+            raise InputError(f"{left} and {right}: a bag has both views, give it alone")
+        return open_bag(left, left_topic, right_topic, tolerance)
+    if left_topic is not None or right_topic is not None:
+        raise InputError(f"{left}: topics are those of a bag (.mcap, .bag, .db3), not of this")
     for kind, is_kind in (("captures", is_capture), ("video files", _is_file)):
         if any(map(is_kind, sources)):
             if not all(map(is_kind, sources)):

@@ -25,6 +25,8 @@ class StereoFrame:
         pair: Both views; None if they cannot be read.
         problem: Why they cannot; empty if they can.
         calibration: Geometry of the pair, if the source knows it.
+        stamp: When it was taken, in ns of the source's clock; None if the source has none.
+        frame_id: Name of the left camera's coordinate frame in ROS, if the source knows it.
     """
 
     index: int
@@ -33,6 +35,8 @@ class StereoFrame:
     pair: StereoPair | None
     problem: str = ""
     calibration: Calibration | None = None
+    stamp: int | None = None
+    frame_id: str = ""
 
 
 @dataclass(frozen=True)
@@ -43,11 +47,15 @@ class Stream:
         frames: The frames; they can be gone through once. Closing them ends the source.
         total: How many there are; None if that is not known.
         live: Whether they come from a camera, so that they are other ones the next time.
+        calibration: Geometry of all of them, if the source knows it.
+        topics: Topics of the left and the right view in ROS; empty for other sources.
     """
 
     frames: Generator[StereoFrame]
     total: int | None
     live: bool = False
+    calibration: Calibration | None = None
+    topics: tuple[str, ...] = ()
 
 
 def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:

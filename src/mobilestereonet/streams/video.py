@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from threading import Event
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.stream import StereoFrame, Stream
 from mobilestereonet.streams.video_files import write_video
+
+Sink: TypeAlias = Callable[[StereoFrame, StereoResult, Calibration | None], object]
+"""Takes each matched frame, its result and its calibration, such as `BagFile.write`."""
 
 
 @dataclass
@@ -82,6 +86,7 @@ def match_video(
     *,
     video: Path | None = None,
     frames: MapFiles | None = None,
+    sinks: Sequence[Sink] = (),
     resume: bool = False,
     beside: bool = False,
     calibration: Calibration | None = None,
@@ -95,10 +100,11 @@ def match_video(
         matcher: The matcher.
         video: Video of the disparity's colours to write; it appears once it is complete.
         frames: Files of each frame's maps, if they are wanted.
+        sinks: What else gets each frame with its result, such as a bag.
         resume: Take the maps that are in ``frames`` already for those of this stream and matcher;
             match the other frames only, and make what is missing of the matched ones' maps.
         beside: The video has the left view beside the colours.
-        calibration: Geometry of the stream, for depth.
+        calibration: Geometry of the stream, for depth; by default the one that the stream knows.
         stop: Ends the stream early once it is set; the video is then a shorter one.
         report: Called for each finished frame; broken ones have a ``problem``.
 
@@ -109,6 +115,7 @@ def match_video(
     """
     if resume and (frames is None or "disparity.png" not in frames.kinds or stream.live):
         raise InputError("to resume takes the frames' disparities as files, and no live camera")
+    calibration = calibration or stream.calibration
     stats = VideoStats()
     problem = "there is none"
 
@@ -123,6 +130,8 @@ def match_video(
                 if frames is not None:
                     before = resume and frames.matched(frame.name)
                     frames.save(frame.name, result, calibration, keep=before)
+                for sink in sinks:
+                    sink(frame, result, calibration)
                 stats.matched += 1
                 yield frame.seconds, result
             report(frame)

@@ -1,0 +1,98 @@
+"""Topics of bags, and what results are written to, as options of a command."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mobilestereonet.cli.early import BAG_ENDINGS, ends_in
+from mobilestereonet.errors import InputError
+
+if TYPE_CHECKING:
+    from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.streams.video import Sink
+
+
+@dataclass(frozen=True)
+class TopicOptions:
+    """Options that say where a bag has its views."""
+
+    left_topic: Annotated[
+        str | None, typer.Option("--left", metavar="TOPIC", help="A bag's left images.")
+    ] = None
+    right_topic: Annotated[
+        str | None, typer.Option("--right", metavar="TOPIC", help="A bag's right images.")
+    ] = None
+    tolerance: Annotated[
+        float,
+        typer.Option(min=0, help="Largest difference between the stamps of a bag's pair, in s."),
+    ] = 0.01
+
+
+@dataclass(frozen=True)
+class SinkOptions:
+    """Options that name files to which the results of many frames go together.
+
+    Raises:
+        InputError: If an option has nothing to act on.
+    """
+
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            help="Bag of results to write, .mcap (ROS 2) or .bag (ROS 1): disparity, confidence "
+            "and, with a calibration, depth and points.",
+            callback=ends_in(BAG_ENDINGS, "bags are"),
+        ),
+    ] = None
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Recording for the Rerun viewer to write, .rrd; or spawn, which opens the viewer, "
+            "or the address of one that runs, rerun+http://HOST:9876/proxy.",
+        ),
+    ] = None
+    max_depth: Annotated[
+        float, typer.Option(min=0, help="Leave farther points out, in metres.")
+    ] = float("inf")
+
+    def __post_init__(self) -> None:
+        if not self.given and self.max_depth < float("inf"):
+            raise InputError(
+                "--max-depth is for the points of --bag or --rerun: add one, or leave it out"
+            )
+
+    @property
+    def given(self) -> list[str]:
+        """What is asked for."""
+        return [str(sink) for sink in (self.bag, self.rerun) if sink is not None]
+
+    def open(
+        self, stack: ExitStack, matcher: StereoMatcher, topics: tuple[str, ...] = ()
+    ) -> list[Sink]:
+        """Open what the results go to.
+
+        Args:
+            stack: Closes it; files appear once it ends without an error.
+            matcher: The matcher of the results; they get a confidence where it has one.
+            topics: The source's topics, if it is a bag.
+
+        Raises:
+            InputError: If a file cannot be written, or an extra is not installed.
+        """
+        from mobilestereonet.streams import BagFile, RerunLog
+
+        sinks: list[BagFile | RerunLog] = []
+        if self.bag is not None:
+            searched = matcher.engine.max_disparity
+            sinks.append(BagFile(self.bag, searched, topics=topics, max_depth=self.max_depth))
+        if self.rerun is not None:
+            sinks.append(RerunLog(self.rerun, max_depth=self.max_depth))
+        if sinks:
+            matcher.confidence = matcher.engine.has_confidence
+        return [stack.enter_context(sink).write for sink in sinks]

@@ -1,0 +1,222 @@
+"""Bags of ROS 1 and ROS 2 as streams: two topics' images, paired by their stamps."""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.streams.ros_input import calibration_of, picture_of
+from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
+
+BAG_FORMATS = (".mcap", ".bag", ".db3")
+
+TOLERANCE_S = 0.01
+"""Largest difference between the stamps of a pair, in s."""
+
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+_TRANSPORT = "compressed"  # the last part of a compressed image's topic
+
+_MAX_WAITING = 100
+"""Images of one camera that wait for the other one's."""
+
+
+def is_bag(source: str | Path) -> bool:
+    """Whether a source is a bag: a file of `BAG_FORMATS`, or the folder of a ROS 2 bag."""
+    path = Path(source)
+    return path.suffix.lower() in BAG_FORMATS or (path / "metadata.yaml").is_file()
+
+
+def open_bag(
+    path: str | Path,
+    left: str | None = None,
+    right: str | None = None,
+    tolerance: float = TOLERANCE_S,
+) -> Stream:
+    """Open a bag of ROS 1 (``.bag``) or ROS 2 (``.mcap``, ``.db3``, or the folder of one).
+
+    Views whose stamps differ by no more than ``tolerance`` are a pair; an image without a partner
+    becomes a frame with a problem. The calibration is that of the topics ``camera_info`` beside
+    the images.
+
+    Args:
+        path: The bag.
+        left: Topic of the left images: raw or compressed, see `picture_of`.
+        right: Topic of the right images.
+        tolerance: Largest difference between the stamps of a pair, in s.
+
+    Raises:
+        FileNotFoundError: If there is no such bag.
+        InputError: If it cannot be read, or a topic is missing or none of images; the message
+            lists the topics that are.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such bag")
+    with _open_reader(path) as reader:
+        topics = {name: (info.msgtype, info.msgcount) for name, info in reader.topics.items()}
+        views = _image_topics(path, topics, left, right)
+        infos = [_camera_info(reader, topics, view) for view in views]
+    stream = Stream(_frames(path, views, tolerance), min(topics[view][1] for view in views))
+    return replace(stream, calibration=_calibration(path, views, infos), topics=views)
+
+
+@contextmanager
+def _open_reader(path: Path) -> Iterator[Any]:
+    with needs_extra("bags"):
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    try:
+        # Bags of ROS 2 before Iron do not hold the definitions of their messages.
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except (AnyReaderError, FileNotFoundError, AssertionError, IndexError, EOFError) as error:
+        raise InputError(f"{path}: not a bag that can be read: {error}") from error
+
+
+def _image_topics(
+    path: Path, topics: dict[str, tuple[str | None, int]], left: str | None, right: str | None
+) -> tuple[str, str]:
+    """Check the names of the topics of both views."""
+    images = sorted(
+        f"{topic} ({count} of {str(kind).rpartition('/')[2]})"
+        for topic, (kind, count) in topics.items()
+        if kind in _IMAGES
+    )
+    listed = f"images in it: {', '.join(images)}" if images else "there are no images in it"
+    if left is None or right is None:
+        raise InputError(f"{path}: name both views, --left TOPIC and --right TOPIC; {listed}")
+    if left == right:
+        raise InputError(f"{path}: {left} is both the left and the right view; {listed}")
+    for topic in (left, right):
+        if topics.get(topic, ("", 0))[0] not in _IMAGES:
+            raise InputError(f"{path}: no images on the topic {topic}; {listed}")
+    return left, right
+
+
+def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: str) -> Any:
+    """The first calibration of a view's camera; None if the bag has none."""
+    parts = image.split("/")
+    if parts[-1] == _TRANSPORT:
+        parts.pop()
+    topic = "/".join([*parts[:-1], "camera_info"])
+    if topics.get(topic, ("", 0))[0] != _CAMERA_INFO:
+        return None
+    connections = [each for each in reader.connections if each.topic == topic]
+    for connection, _, data in reader.messages(connections):
+        return reader.deserialize(data, connection.msgtype)
+    return None
+
+
+def _calibration(path: Path, views: tuple[str, str], infos: list[Any]) -> Calibration | None:
+    """The calibration that two cameras' messages give; a warning says why it is none."""
+    if None in infos:
+        return None
+    try:
+        return calibration_of(*infos)
+    except InputError as error:
+        warnings.warn(
+            f"{path}: no depth from the camera_info of {views[0]} and {views[1]}: {error}; give "
+            "--focal and --baseline, or a --calib FILE",
+            stacklevel=3,
+        )
+        return None
+
+
+@dataclass(frozen=True)
+class _Stamped:
+    """An image message with its stamp in ns."""
+
+    stamp: int
+    message: Any
+
+
+def _frames(path: Path, views: tuple[str, str], tolerance: float) -> Generator[StereoFrame]:
+    with _open_reader(path) as reader:
+        pairs = pair_by_stamp(_images(reader, views), round(tolerance * 1e9))
+        start, seconds = None, 0.0
+        for index, pair in enumerate(pairs):
+            first = next(view for view in pair if view is not None)
+            start = first.stamp if start is None else start
+            seconds = max(seconds, (first.stamp - start) / 1e9)  # a bag may start again
+            if None in pair:
+                present, missing = views if pair[1] is None else views[::-1]
+                problem = f"{present} at {first.stamp / 1e9:.6f} s: {missing} has no image within "
+                problem += f"{tolerance:g} s of it"
+                frame = StereoFrame(index, f"{index:06d}", seconds, None, problem)
+            else:
+                frame = _frame(index, seconds, [view.message for view in pair if view is not None])
+            header = first.message.header
+            yield replace(frame, stamp=first.stamp, frame_id=header.frame_id)
+
+
+def _images(reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped]]:
+    """Images of both topics in the bag's order: 0 or 1 for left or right, and the message."""
+    connections = [connection for connection in reader.connections if connection.topic in views]
+    for connection, recorded, data in reader.messages(connections):
+        message = reader.deserialize(data, connection.msgtype)
+        stamp = message.header.stamp
+        nanoseconds = stamp.sec * 10**9 + stamp.nanosec
+        # A driver that sets no stamp leaves the time at which it was recorded.
+        yield views.index(connection.topic), _Stamped(nanoseconds or recorded, message)
+
+
+def _frame(index: int, seconds: float, messages: list[Any]) -> StereoFrame:
+    try:
+        return make_frame(index, seconds, [picture_of(message) for message in messages])
+    except InputError as error:
+        return StereoFrame(index, f"{index:06d}", seconds, None, str(error))
+
+
+def pair_by_stamp(
+    images: Iterable[tuple[int, Any]], tolerance: int
+) -> Iterator[tuple[Any | None, Any | None]]:
+    """Pair the images of two cameras, each with the nearest one of the other.
+
+    Args:
+        images: 0 or 1 for the left or the right camera, and an image with a ``stamp``; those of
+            one camera in the order of their stamps.
+        tolerance: Largest difference of the stamps of a pair, in the same unit.
+
+    Yields:
+        Left and right image, None in place of a partner that there is not, in the order of their
+        stamps.
+    """
+    waiting: tuple[deque[Any], deque[Any]] = deque(), deque()
+    for side, image in images:
+        waiting[side].append(image)
+        yield from _settled(waiting, tolerance, ended=len(waiting[side]) > _MAX_WAITING)
+        if len(waiting[side]) > _MAX_WAITING:
+            yield _alone(side, waiting[side].popleft())
+    yield from _settled(waiting, tolerance, ended=True)
+    for side, images_left in enumerate(waiting):
+        for image in images_left:
+            yield _alone(side, image)
+
+
+def _alone(side: int, image: Any) -> tuple[Any | None, Any | None]:
+    return (image, None) if side == 0 else (None, image)
+
+
+def _settled(
+    waiting: tuple[deque[Any], deque[Any]], tolerance: int, ended: bool
+) -> Iterator[tuple[Any | None, Any | None]]:
+    """Take the images out whose partner is known, or that have none."""
+    while all(waiting):
+        side = int(waiting[1][0].stamp < waiting[0][0].stamp)  # whose first image is the earlier
+        early, late = waiting[side], waiting[1 - side]
+        gap = late[0].stamp - early[0].stamp
+        if gap <= tolerance and len(early) == 1 and gap > 0 and not ended:
+            return  # the next one may be nearer
+        nearer = len(early) > 1 and abs(late[0].stamp - early[1].stamp) < gap
+        if gap > tolerance or nearer:
+            yield _alone(side, early.popleft())
+        else:
+            yield waiting[0].popleft(), waiting[1].popleft()

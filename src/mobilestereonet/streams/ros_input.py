@@ -1,0 +1,127 @@
+"""Pictures and calibrations from ROS messages.
+
+Messages of ROS 1, of ROS 2 and of bags differ in their classes, not in their fields: they are read
+by attribute.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mobilestereonet.data.calibration import from_projections
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
+
+Image = NDArray[Any]
+
+_PATTERNS = ("rggb", "bggr", "gbrg", "grbg")
+_PLAIN = {"rgb": (3, None), "bgr": (3, "BGR2RGB"), "rgba": (4, "RGBA2RGB"), "bgra": (4, "BGRA2RGB")}
+
+_ENCODINGS: dict[str, tuple[type, int, str | None]] = {
+    "mono8": (np.uint8, 1, None),
+    "mono16": (np.uint16, 1, None),
+    "8UC1": (np.uint8, 1, None),
+    "16UC1": (np.uint16, 1, None),
+    "8UC3": (np.uint8, 3, "BGR2RGB"),
+    "8UC4": (np.uint8, 4, "BGRA2RGB"),
+    **{f"{name}8": (np.uint8, *how) for name, how in _PLAIN.items()},
+    **{f"{name}16": (np.uint16, *how) for name, how in _PLAIN.items()},
+    **{f"bayer_{p}8": (np.uint8, 1, f"Bayer{p.upper()}2RGB") for p in _PATTERNS},
+    **{f"bayer_{p}16": (np.uint16, 1, f"Bayer{p.upper()}2RGB") for p in _PATTERNS},
+    **dict.fromkeys(("yuv422", "uyvy"), (np.uint8, 2, "YUV2RGB_UYVY")),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (np.uint8, 2, "YUV2RGB_YUY2")),
+}
+"""Encodings of sensor_msgs: dtype and channels of a pixel, and OpenCV's conversion to RGB."""
+
+
+def picture_of(message: Any) -> Image:
+    """The picture of a ``sensor_msgs/Image`` or ``sensor_msgs/CompressedImage``.
+
+    Args:
+        message: The message. An Image is of one of the encodings mono, rgb, bgr, rgba, bgra and
+            bayer with 8 or 16 bits, 8UC1, 8UC3, 8UC4, 16UC1, and YUV 4:2:2.
+
+    Returns:
+        (H, W) or (H, W, 3) in RGB order, uint8 or uint16.
+
+    Raises:
+        InputError: If it is damaged, or of another encoding.
+    """
+    if hasattr(message, "encoding"):
+        return _decoded(_pixels(message), message.encoding)
+    data = np.frombuffer(message.data, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise InputError(f"a damaged compressed image, or a format ({message.format}) of another")
+    if image.ndim == 3:
+        return np.asarray(
+            cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+        )
+    encoding = message.format.partition(";")[0].strip()  # "bayer_rggb8; png compressed"
+    return _decoded(image, encoding) if encoding.startswith("bayer") else np.asarray(image)
+
+
+def _pixels(message: Any) -> Image:
+    """The pixels of an Image as they are, (H, W) or (H, W, channels), without the rows' padding."""
+    if message.encoding not in _ENCODINGS:
+        raise InputError(
+            f"images of encoding {message.encoding!r} cannot be read, only {', '.join(_ENCODINGS)}"
+        )
+    dtype, channels, _ = _ENCODINGS[message.encoding]
+    pixel = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
+    used = message.width * channels * pixel.itemsize
+    step, data = message.step or used, np.frombuffer(message.data, np.uint8)
+    if step < used or not used or data.size < (message.height - 1) * step + used:
+        raise InputError(
+            f"a damaged image: {data.size} bytes for {message.width}x{message.height} pixels of "
+            f"{message.encoding} in rows of {step} bytes"
+        )
+    rows = np.lib.stride_tricks.as_strided(data, (message.height, used), (step, 1), writeable=False)
+    values = np.ascontiguousarray(rows).view(pixel).astype(dtype)
+    return values if channels == 1 else values.reshape(message.height, message.width, channels)
+
+
+def _decoded(pixels: Image, encoding: str) -> Image:
+    conversion = _ENCODINGS[encoding][2]
+    if conversion is None:
+        return pixels
+    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}")))
+
+
+def calibration_of(left: Any, right: Any) -> Calibration | None:
+    """Calibration of a rectified pair from the ``sensor_msgs/CameraInfo`` of its cameras.
+
+    Binning and region of interest are those of the pictures. The baseline may stand in either
+    camera's projection matrix, as it does in the left one's with OAK cameras.
+
+    Returns:
+        The calibration; None if a camera says that it is not calibrated.
+
+    Raises:
+        InputError: If the cameras are not those of a rectified pair.
+    """
+    projections = [_projection(info) for info in (left, right)]
+    if any(projection[0, 0] == 0 for projection in projections):
+        return None
+    window, (binning_x, binning_y) = left.roi, _binning(left)
+    width, height = window.width or left.width, window.height or left.height
+    size = (width // binning_x, height // binning_y) if width and height else None
+    return from_projections(projections[0], projections[1], "m", size)
+
+
+def _projection(info: Any) -> NDArray[np.float64]:
+    """The projection matrix of the published picture, (3, 4)."""
+    matrix = np.array(info.p if hasattr(info, "p") else info.P, np.float64).reshape(3, 4)
+    matrix[0, 2] -= info.roi.x_offset
+    matrix[1, 2] -= info.roi.y_offset
+    for row, binning in enumerate(_binning(info)):
+        matrix[row] /= binning
+    return matrix
+
+
+def _binning(info: Any) -> tuple[int, int]:
+    return max(info.binning_x, 1), max(info.binning_y, 1)  # 0 means 1

@@ -1,0 +1,398 @@
+"""Bags of ROS as sources and as sinks, read and written with two libraries."""
+
+import random
+import re
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from noise_pairs import centre
+from ros_bags import BASELINE_M, FOCAL_PX, FORMATS, START_NS, VIEWS, projection, write_bag
+
+from extras import need_extra
+from mobilestereonet.cli import early
+from mobilestereonet.cli.sinks import TopicOptions
+from mobilestereonet.errors import InputError
+from mobilestereonet.streams import bag_file, bags, open_stream
+from mobilestereonet.streams.ros_input import calibration_of, picture_of
+
+SGBM = ("--model", "sgbm", "--max-disparity", 64)
+
+
+@pytest.fixture
+def rosbags():
+    return need_extra("rosbags")
+
+
+def topics(left, right):
+    return "--left", left, "--right", right
+
+
+def read_mcap(path):
+    """Messages by topic, read with the format's own library."""
+    need_extra("mcap_ros2")
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    messages = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, record, message in reader.iter_decoded_messages():
+            messages.setdefault((channel.topic, schema.name), []).append((record, message))
+    return messages
+
+
+def read_ros1(path):
+    from rosbags.highlevel import AnyReader
+
+    messages = {}
+    with AnyReader([path]) as reader:
+        for connection, time, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            key = connection.topic, connection.msgtype
+            messages.setdefault(key, []).append((SimpleNamespace(log_time=time), message))
+    return messages
+
+
+def values_of(image, dtype):
+    return np.frombuffer(image.data, dtype).reshape(image.height, image.width)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("compressed", ["", "/compressed"])
+def test_a_bag_gives_disparity_and_depth(rosbags, msnet, tmp_path, name, compressed):
+    views = [view + compressed for view in VIEWS]
+    bag = write_bag(tmp_path / name, views, frames=2)
+    if name == "run":
+        bag = next(bag.glob("*.db3")) if compressed else bag  # the folder, or the file in it
+    code, out, err = msnet("video", bag, *topics(*views), "--frames", tmp_path / "maps", *SGBM)
+    assert (code, err) == (0, "")
+    assert "2 frames" in out
+    for frame in range(2):
+        path = tmp_path / "maps" / f"{frame:06d}"
+        disparity = centre(cv2.imread(f"{path}_disparity.png", -1)) / 256
+        assert np.median(disparity) == pytest.approx(10 + frame, abs=0.1)
+        depth = centre(cv2.imread(f"{path}_depth.png", -1))
+        assert np.median(depth) == pytest.approx(
+            1000 * FOCAL_PX * BASELINE_M / (10 + frame), rel=0.01
+        )
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".bag"])
+def test_results_go_to_a_bag(rosbags, msnet, tmp_path, ending):
+    source, out = write_bag(tmp_path / "run.mcap", frames=2), tmp_path / f"new/out{ending}"
+    code, _, err = msnet("video", source, *topics(*VIEWS), "--bag", out, *SGBM)
+    assert (code, err) == (0, "")
+    assert list(out.parent.iterdir()) == [out]
+    messages = read_mcap(out) if ending == ".mcap" else read_ros1(out)
+    kinds = {
+        ("/stereo/disparity", "stereo_msgs/msg/DisparityImage"),
+        ("/stereo/depth", "sensor_msgs/msg/Image"),
+        ("/stereo/points2", "sensor_msgs/msg/PointCloud2"),
+    }
+    assert set(messages) == kinds
+    for (_, kind), sent in messages.items():
+        assert len(sent) == 2
+        for frame, (record, message) in enumerate(sent):
+            stamp = message.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == START_NS + frame * 10**8 == record.log_time
+            assert message.header.frame_id == "left_camera"
+            if kind.endswith("DisparityImage"):
+                assert message.image.header == message.header
+    check_disparity_and_depth(
+        messages["/stereo/disparity", "stereo_msgs/msg/DisparityImage"][1][1],
+        messages["/stereo/depth", "sensor_msgs/msg/Image"][1][1],
+    )
+    check_points(messages["/stereo/points2", "sensor_msgs/msg/PointCloud2"][1][1])
+
+
+def check_disparity_and_depth(message, depth_image):
+    assert message.image.encoding == depth_image.encoding == "32FC1"
+    assert message.image.step == 4 * message.image.width
+    disparity, depth = values_of(message.image, "<f4"), values_of(depth_image, "<f4")
+    assert np.median(centre(disparity)) == pytest.approx(11, abs=0.1)
+    baseline = message.t if hasattr(message, "t") else message.T
+    assert (message.f, baseline) == pytest.approx((FOCAL_PX, BASELINE_M))
+    assert (message.min_disparity, message.max_disparity) == (0, 63)
+    assert 0 < message.delta_d < 0.1
+    window = message.valid_window
+    assert (window.x_offset, window.y_offset, window.width, window.height) == (0, 0, 160, 48)
+    known = disparity > 1 / 128
+    np.testing.assert_allclose(depth[known], message.f * baseline / disparity[known], rtol=1e-5)
+    assert np.isnan(depth[disparity < message.min_disparity]).all()
+
+
+def check_points(message):
+    assert [field.name for field in message.fields] == ["x", "y", "z", "rgb"]
+    assert len(message.data) == message.row_step == message.width * message.point_step
+    points = np.frombuffer(message.data, "<f4").reshape(-1, 4)
+    assert np.isfinite(points).all()
+    assert np.median(points[:, 2]) == pytest.approx(FOCAL_PX * BASELINE_M / 11, rel=0.02)
+    colours = np.frombuffer(message.data, np.uint8).reshape(-1, 16)[:, 12:]
+    assert colours[:, 3].max() == 0
+    assert colours[:, :3].std() > 10
+
+
+def test_what_is_unknown_lies_below_the_range(rosbags, tmp_path):
+    from mobilestereonet import Calibration, StereoResult
+    from mobilestereonet.streams import BagFile, StereoFrame
+
+    disparity = np.array([[4, np.inf, 2, 0]], np.float32)
+    result = StereoResult(
+        left=np.zeros((1, 4, 3), np.uint8),
+        disparity=disparity,
+        valid=np.isfinite(disparity),
+        confidence=np.array([[1, 0, 0.5, 0]], np.float32),
+    )
+    with BagFile(tmp_path / "a.mcap", 64, max_depth=2) as bag:
+        frame = StereoFrame(3, "3", 1.5, None)
+        bag.write(frame, result, Calibration(focal=10, baseline=0.5, doffs=1))
+    messages = {topic: sent[0][1] for (topic, _), sent in read_mcap(tmp_path / "a.mcap").items()}
+    message = messages["/stereo/disparity"]
+    assert values_of(message.image, "<f4").tolist() == [[5, 0, 3, 1]]
+    assert (message.min_disparity, message.max_disparity) == (1, 64)
+    np.testing.assert_allclose(
+        values_of(messages["/stereo/depth"], "<f4"), [[1, np.nan, 5 / 3, 5]], rtol=1e-6
+    )
+    assert messages["/stereo/points2"].width <= 2
+    assert messages["/stereo/confidence"].encoding == "mono8"
+    assert list(messages["/stereo/confidence"].data) == [255, 0, 128, 0]
+    stamp = message.header.stamp
+    assert (stamp.sec, stamp.nanosec, message.header.frame_id) == (
+        1,
+        500_000_000,
+        bag_file.FRAME_ID,
+    )
+
+
+def test_a_bag_that_fails_leaves_nothing(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", frames=1)
+    calibration = tmp_path / "calib.txt"  # of a smaller picture
+    calibration.write_text("cam0=[9 0 4; 0 9 4; 0 0 1]\nbaseline=100\ndoffs=0\nwidth=8\nheight=8\n")
+    new = "--bag", tmp_path / "out.mcap", "--calib", calibration
+    code, _, err = msnet("video", bag, *topics(*VIEWS), *new, *SGBM)
+    assert code == 2
+    assert "the calibration is of views of 8x8" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["calib.txt", "run", "run.mcap"]
+
+
+def test_images_without_a_partner_are_reported(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", skipped=[(1, 1), (0, 3)])
+    code, out, err = msnet("video", bag, *topics(*VIEWS), "--frames", tmp_path / "maps", *SGBM)
+    assert code == 0
+    assert "2 frames" in out
+    assert "2 broken frames skipped" in out
+    assert re.search(rf"frame 000001 skipped: {VIEWS[0]} at .* {VIEWS[1]} has no image within", err)
+    assert re.search(rf"frame 000003 skipped: {VIEWS[1]} at .* {VIEWS[0]} has no image within", err)
+    tight = "--tolerance", 0.001, "--frames", tmp_path / "maps"
+    assert "no frame could be matched" in msnet("video", bag, *topics(*VIEWS), *tight, *SGBM)[2]
+
+
+def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
+    assert open_stream(str(bag), left_topic=VIEWS[0], right_topic=VIEWS[1]).calibration is None
+    code, _, _ = msnet("video", bag, *topics(*VIEWS), "--bag", tmp_path / "out.mcap", *SGBM)
+    assert code == 0
+    assert [topic for topic, _ in read_mcap(tmp_path / "out.mcap")] == ["/stereo/disparity"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("run.mcap",),
+            rf"run.mcap: name both views, .*; images in it: {VIEWS[0]} \(1 of Image\), ",
+        ),
+        (("run.mcap", "--left", VIEWS[0]), "run.mcap: name both views"),
+        (("run.mcap", *topics(VIEWS[0], "/other")), "no images on the topic /other; images in it"),
+        (("run.mcap", *topics(VIEWS[0], VIEWS[0])), "is both the left and the right view"),
+        (("run.mcap", *topics("/stereo/left/camera_info", VIEWS[0])), "no images on the topic"),
+        (("run.mcap", "run.mcap", *topics(*VIEWS)), "a bag has both views, give it alone"),
+        (("absent.bag", *topics(*VIEWS)), "absent.bag: no such bag"),
+        (("text.bag", *topics(*VIEWS)), "text.bag: not a bag that can be read"),
+        (("text.mcap", *topics(*VIEWS)), "text.mcap: not a bag that can be read"),
+        (("text.db3", *topics(*VIEWS)), "text.db3: not a bag that can be read"),
+        (("folder", *topics(*VIEWS)), "folder: not a bag that can be read"),
+        (("left", "right", *topics(*VIEWS)), "topics are those of a bag"),
+        (
+            ("run.mcap", *topics(*VIEWS), "--bag", "run.mcap"),
+            "run.mcap: it would replace its source",
+        ),
+        (("run.mcap", *topics(*VIEWS), "--bag", "out.db3"), "bags are written as .mcap, .bag"),
+        (
+            ("run.mcap", *topics(*VIEWS), "--max-depth", "3"),
+            "--max-depth is for the points of --bag",
+        ),
+    ],
+)
+def test_bad_input_ends_with_one_line(rosbags, msnet, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "run.mcap", frames=1)
+    for ending in ("bag", "mcap", "db3"):
+        (tmp_path / f"text.{ending}").write_text("no bag\n")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
+    code, out, err = msnet("video", *arguments, "--frames", "maps", *SGBM)
+    assert (code, out) == (2, "")
+    assert re.fullmatch(rf"msnet: .*{message}.*\n", err)
+    assert not (tmp_path / "maps").exists()
+
+
+RGB = np.random.default_rng(0).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+GREY = RGB[..., 0]
+ALPHA = np.dstack((RGB, GREY))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "expected"),
+    [
+        ("rgb8", RGB, RGB),
+        ("bgr8", RGB[..., ::-1], RGB),
+        ("rgba8", ALPHA, RGB),
+        ("bgra8", ALPHA[..., [2, 1, 0, 3]], RGB),
+        ("8UC3", RGB[..., ::-1], RGB),
+        ("mono8", GREY, GREY),
+        ("8UC1", GREY, GREY),
+        ("mono16", GREY.astype(np.uint16) * 257, GREY.astype(np.uint16) * 257),
+        ("bgr16", RGB[..., ::-1].astype(np.uint16) * 257, RGB.astype(np.uint16) * 257),
+    ],
+)
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("padding", [0, 5])
+def test_encodings(encoding, pixels, expected, big, padding):
+    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big else "<")).view(np.uint8)
+    rows = np.pad(np.ascontiguousarray(rows).reshape(4, -1), ((0, 0), (0, padding)))
+    message = SimpleNamespace(
+        encoding=encoding,
+        height=4,
+        width=6,
+        step=rows.shape[1],
+        is_bigendian=int(big),
+        data=rows.tobytes(),
+    )
+    picture = picture_of(message)
+    assert picture.dtype == expected.dtype
+    np.testing.assert_array_equal(picture, expected)
+    message.data = message.data[: -padding - 1]
+    with pytest.raises(InputError, match="a damaged image"):
+        picture_of(message)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_bayer_patterns(pattern, dtype):
+    colour = np.array([200, 120, 40], dtype)
+    tile = [colour["rgb".index(letter)] for letter in pattern]
+    mosaic = np.tile(np.array(tile, dtype).reshape(2, 2), (4, 4))
+    message = SimpleNamespace(
+        encoding=f"bayer_{pattern}{8 * mosaic.itemsize}",
+        height=8,
+        width=8,
+        step=0,  # as some drivers leave it
+        is_bigendian=0,
+        data=mosaic.tobytes(),
+    )
+    np.testing.assert_array_equal(picture_of(message)[2:-2, 2:-2], np.tile(colour, (4, 4, 1)))
+    _, png = cv2.imencode(".png", mosaic)
+    message = SimpleNamespace(format=f"bayer_{pattern}8; png compressed", data=png.tobytes())
+    np.testing.assert_array_equal(picture_of(message)[2:-2, 2:-2], np.tile(colour, (4, 4, 1)))
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("yuv422", "uyvy"), ("yuv422_yuy2", "yuyv")])
+def test_yuv(encoding, order):
+    values = {"y": 81, "u": 90, "v": 240}  # red
+    data = bytes(values[letter] for letter in order) * 8
+    message = SimpleNamespace(
+        encoding=encoding, height=4, width=4, step=8, is_bigendian=0, data=data
+    )
+    picture = picture_of(message)
+    assert picture.shape == (4, 4, 3)
+    np.testing.assert_allclose(picture[0, 0], (255, 0, 0), atol=3)
+
+
+@pytest.mark.parametrize("data", [b"", b"no image"])
+def test_what_is_no_image_is_told(data):
+    with pytest.raises(InputError, match="damaged compressed image"):
+        picture_of(SimpleNamespace(format="jpeg", data=data))
+    message = SimpleNamespace(encoding="32FC1", height=1, width=1, step=4, data=data)
+    with pytest.raises(InputError, match="encoding '32FC1' cannot be read, only mono8"):
+        picture_of(message)
+
+
+def camera(p, *, size=(160, 48), binning=(0, 0), window=(0, 0, 0, 0)):
+    roi = SimpleNamespace(x_offset=window[0], y_offset=window[1], width=window[2], height=window[3])
+    binning_x, binning_y = binning
+    return SimpleNamespace(
+        p=np.asarray(p, float).ravel(),
+        width=size[0],
+        height=size[1],
+        binning_x=binning_x,
+        binning_y=binning_y,
+        roi=roi,
+    )
+
+
+def test_camera_info_of_either_camera_has_the_baseline():
+    right = calibration_of(camera(projection()), camera(projection(0.2)))
+    left = calibration_of(camera(projection(-0.2)), camera(projection()))  # OAK
+    assert right == left
+    assert (right.focal, right.baseline, right.doffs, right.size) == (100, 0.2, 0, (160, 48))
+    assert (right.cx, right.cy) == (80, 24)
+    with pytest.raises(InputError, match="are the cameras swapped"):
+        calibration_of(camera(projection(0.2)), camera(projection()))
+    assert calibration_of(camera(np.zeros(12)), camera(projection())) is None
+
+
+def test_binning_and_region_of_interest():
+    half = {"binning": (2, 2), "window": (20, 4, 100, 40)}
+    found = calibration_of(camera(projection(), **half), camera(projection(0.2), **half))
+    assert (found.focal, found.baseline, found.doffs, found.size) == (50, 0.2, 0, (50, 20))
+    assert (found.cx, found.cy) == (30, 10)
+    # Two windows that do not begin in one column move the principal points apart.
+    moved = camera(projection(0.2), window=(28, 4, 100, 40))
+    found = calibration_of(camera(projection(), window=(20, 4, 100, 40)), moved)
+    assert (found.doffs, found.size) == (-8, (100, 40))
+
+
+def test_pairs_are_the_nearest_ones():
+    def images(side, *stamps):
+        return [(side, SimpleNamespace(stamp=stamp)) for stamp in stamps]
+
+    def stamps(pairs):
+        return [tuple(view and view.stamp for view in pair) for pair in pairs]
+
+    left, right = images(0, 10, 20, 30, 40), images(1, 11, 19, 33, 60)
+    expected = [(10, 11), (20, 19), (30, 33), (40, None), (None, 60)]
+    for order in (left + right, right + left):
+        assert stamps(bags.pair_by_stamp(order, 3)) == expected
+    # The nearer one counts, not the first one that is near enough.
+    assert stamps(bags.pair_by_stamp(images(0, 10, 12) + images(1, 13), 5)) == [
+        (10, None),
+        (12, 13),
+    ]
+    # A camera that stops does not fill the memory: its partner's images are given up.
+    many = bags.pair_by_stamp(images(0, *range(1000)) + images(1, 0), 0)
+    assert stamps([next(many)]) == [(0, None)]
+
+
+def test_pairs_do_not_depend_on_the_order_of_the_bag():
+    rng = random.Random(3)
+    images = [
+        (side, SimpleNamespace(stamp=100 * i + rng.randint(-8, 8)))
+        for i in range(40)
+        for side in (0, 1)
+        if rng.random() < 0.8
+    ]
+    late = sorted(images, key=lambda image: (image[1].stamp + 700 * image[0], image[0]))
+    by_stamp = sorted(images, key=lambda image: image[1].stamp)
+    pairs = [list(bags.pair_by_stamp(order, 16)) for order in (by_stamp, late)]
+    assert {tuple(map(id, pair)) for pair in pairs[0]} == {
+        tuple(map(id, pair)) for pair in pairs[1]
+    }
+    assert sum(None not in pair for pair in pairs[0]) > 15
+
+
+def test_the_command_line_knows_the_names_of_the_library():
+    assert early.BAG_ENDINGS == bag_file.BAG_ENDINGS
+    assert TopicOptions().tolerance == bags.TOLERANCE_S
