@@ -123,7 +123,7 @@ MESSAGES = {
     "cost --model msnet4d": "unknown model 'msnet4d': did you mean msnet",
     "export onx": "format onx: did you mean onnx? There are onnx, openvino",
     "evaluate --data kitty2015 --root .": "did you mean kitti2015? There are drivingstereo",
-    "video in.mp4": "nothing to write: give --output VIDEO, --frames FOLDER or both",
+    "video in.mp4": "nothing to write: give --output VIDEO, --frames FOLDER, --bag or --rerun",
 }
 
 

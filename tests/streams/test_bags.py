@@ -323,8 +323,13 @@ def test_what_is_no_image_is_told(data):
 def camera(p, *, size=(160, 48), binning=(0, 0), window=(0, 0, 0, 0)):
     roi = SimpleNamespace(x_offset=window[0], y_offset=window[1], width=window[2], height=window[3])
     binning_x, binning_y = binning
+    p = np.asarray(p, float)
     return SimpleNamespace(
-        p=np.asarray(p, float).ravel(),
+        p=p.ravel(),
+        k=p.reshape(3, 4)[:, :3].ravel(),
+        d=np.zeros(5),
+        r=np.eye(3).ravel(),
+        distortion_model="plumb_bob",
         width=size[0],
         height=size[1],
         binning_x=binning_x,

@@ -46,6 +46,10 @@ def test_ros2_messages_fit_their_definitions(monkeypatch, tmp_path):
     cameras = [
         SimpleNamespace(
             p=projection(side * BASELINE_M).ravel(),
+            k=projection()[:, :3].ravel(),
+            d=[],
+            r=np.eye(3).ravel(),
+            distortion_model="plumb_bob",
             width=160,
             height=48,
             binning_x=0,

@@ -137,7 +137,11 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
         (("video", "77", "--frames", "new"), "77: OpenCV cannot open this capture"),
         (("video", "file://text.avi", "--frames", "new"), "text.avi: OpenCV cannot open"),
         (("video", "left", "right"), "nothing to write"),
-        (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume .* need --frames"),
+        (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume needs --frames"),
+        (
+            ("video", "left", "right", "-o", "v.mp4", "--focal", "9", "--baseline", "1"),
+            "depth needs --frames FOLDER, --bag or --rerun",
+        ),
         (("video", "left", "right", "--frames", "new", "--beside"), "--beside needs --output"),
         (("video", "left", "right", "-o", "v.gif"), "v.gif: videos are written as .mp4"),
         (

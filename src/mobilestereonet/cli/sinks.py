@@ -87,12 +87,14 @@ class SinkOptions:
         """
         from mobilestereonet.streams import BagFile, RerunLog
 
-        sinks: list[BagFile | RerunLog] = []
+        sinks: list[Sink] = []
         if self.bag is not None:
             searched = matcher.engine.max_disparity
-            sinks.append(BagFile(self.bag, searched, topics=topics, max_depth=self.max_depth))
+            bag = BagFile(self.bag, searched, topics=topics, max_depth=self.max_depth)
+            sinks.append(stack.enter_context(bag).write)
         if self.rerun is not None:
-            sinks.append(RerunLog(self.rerun, max_depth=self.max_depth))
+            log = RerunLog(self.rerun, max_depth=self.max_depth)
+            sinks.append(stack.enter_context(log).write)
         if sinks:
             matcher.confidence = matcher.engine.has_confidence
-        return [stack.enter_context(sink).write for sink in sinks]
+        return sinks

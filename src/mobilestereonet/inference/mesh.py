@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,9 +62,7 @@ class Mesh:
             raise InputError(f"{path}: no face to write: is all depth unknown or beyond the limit?")
         files = self._contents(path)
         for name, content in files.items():
-            write_atomically(
-                path.with_name(name), lambda temporary, data=content: temporary.write_bytes(data)
-            )
+            write_atomically(path.with_name(name), partial(_write, content))
         return [path.with_name(name) for name in files]
 
     def _contents(self, path: Path) -> dict[str, bytes]:
@@ -76,7 +75,9 @@ class Mesh:
             return {path.name: _exported(mesh, "glb")}
         from trimesh.exchange.obj import export_obj
 
-        text, others = export_obj(mesh, return_texture=True, mtl_name=f"{path.stem}.mtl")
+        text, others = export_obj(  # type: ignore[no-untyped-call]
+            mesh, return_texture=True, mtl_name=f"{path.stem}.mtl"
+        )
         return {**dict(sorted(others.items(), reverse=True)), path.name: text.encode()}
 
     def _trimesh(self, turn: NDArray[np.float32], texture_name: str = "") -> trimesh.Trimesh:
@@ -92,9 +93,11 @@ class Mesh:
             visual = trimesh.visual.TextureVisuals(  # type: ignore[no-untyped-call]
                 uv=self.texture_coordinates, material=material
             )
-        return trimesh.Trimesh(  # type: ignore[no-untyped-call]
-            self.vertices @ turn.T, self.faces, visual=visual, process=False
-        )
+        return trimesh.Trimesh(self.vertices @ turn.T, self.faces, visual=visual, process=False)
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)
 
 
 def _exported(mesh: Any, kind: str) -> bytes:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.data.calibration import from_projections
+from mobilestereonet.data.rig import Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
@@ -81,7 +81,7 @@ def _pixels(message: Any) -> Image:
             f"{message.encoding} in rows of {step} bytes"
         )
     rows = np.lib.stride_tricks.as_strided(data, (message.height, used), (step, 1), writeable=False)
-    values = np.ascontiguousarray(rows).view(pixel).astype(dtype)
+    values: Image = np.ascontiguousarray(rows).view(pixel).astype(dtype)
     return values if channels == 1 else values.reshape(message.height, message.width, channels)
 
 
@@ -93,35 +93,28 @@ def _decoded(pixels: Image, encoding: str) -> Image:
 
 
 def calibration_of(left: Any, right: Any) -> Calibration | None:
-    """Calibration of a rectified pair from the ``sensor_msgs/CameraInfo`` of its cameras.
-
-    Binning and region of interest are those of the pictures. The baseline may stand in either
-    camera's projection matrix, as it does in the left one's with OAK cameras.
+    """Calibration of rectified pictures from the ``sensor_msgs/CameraInfo`` of both cameras.
 
     Returns:
         The calibration; None if a camera says that it is not calibrated.
 
     Raises:
-        InputError: If the cameras are not those of a rectified pair.
+        InputError: If the cameras are not those of a rectified pair, see `Rig.from_camera_info`.
     """
-    projections = [_projection(info) for info in (left, right)]
-    if any(projection[0, 0] == 0 for projection in projections):
+    infos = [_entries(info) for info in (left, right)]
+    if any(np.ravel(info["p"])[0] == 0 for info in infos):
         return None
-    window, (binning_x, binning_y) = left.roi, _binning(left)
-    width, height = window.width or left.width, window.height or left.height
-    size = (width // binning_x, height // binning_y) if width and height else None
-    return from_projections(projections[0], projections[1], "m", size)
+    geometries = Rig.from_camera_info(*infos).geometries
+    return next(geometry for geometry in geometries if isinstance(geometry, Calibration))
 
 
-def _projection(info: Any) -> NDArray[np.float64]:
-    """The projection matrix of the published picture, (3, 4)."""
-    matrix = np.array(info.p if hasattr(info, "p") else info.P, np.float64).reshape(3, 4)
-    matrix[0, 2] -= info.roi.x_offset
-    matrix[1, 2] -= info.roi.y_offset
-    for row, binning in enumerate(_binning(info)):
-        matrix[row] /= binning
-    return matrix
-
-
-def _binning(info: Any) -> tuple[int, int]:
-    return max(info.binning_x, 1), max(info.binning_y, 1)  # 0 means 1
+def _entries(info: Any) -> dict[str, Any]:
+    """A CameraInfo as names and values; ROS 1 has D, K, R and P in upper case."""
+    plain = ("width", "height", "distortion_model", "binning_x", "binning_y")
+    matrices = {name: getattr(info, name, getattr(info, name.upper(), None)) for name in "dkrp"}
+    window = {name: getattr(info.roi, name) for name in ("x_offset", "y_offset", "width", "height")}
+    return {
+        **{name: getattr(info, name) for name in plain},
+        **{name: np.asarray(matrix, np.float64) for name, matrix in matrices.items()},
+        "roi": window,
+    }
