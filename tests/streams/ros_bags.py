@@ -69,7 +69,7 @@ class BagWriter:
         header = self.header(stamp, f"{topic.split('/')[2]}_camera")
         self.write(topic, stamp + 5, kind, header=header, data=data.reshape(-1), **fields)
 
-    def camera_info(self, topic, stamp, projection):
+    def camera_info(self, topic, stamp, projection, distortion=(0, 0, 0, 0, 0)):
         window = self.make(
             "sensor_msgs/msg/RegionOfInterest",
             x_offset=0,
@@ -79,7 +79,12 @@ class BagWriter:
             do_rectify=False,
         )
         names = "DKRP" if self.of_ros1 else "dkrp"
-        matrices = (np.zeros(5), np.ravel(projection[:, :3]), np.eye(3).ravel(), projection.ravel())
+        matrices = (
+            np.float64(distortion),
+            np.ravel(projection[:, :3]),
+            np.eye(3).ravel(),
+            projection.ravel(),
+        )
         self.write(
             topic,
             stamp,
@@ -100,20 +105,35 @@ def projection(baseline=0.0):
     return np.array([[f, 0, WIDTH / 2, -f * baseline], [0, f, HEIGHT / 2, 0], [0, 0, 1, 0]])
 
 
-def write_bag(path, views=VIEWS, frames=4, skipped=(), calibrated=True):
+def write_bag(path, views=VIEWS, frames=4, skipped=(), calibrated=True, distortion=None):
     """A bag with `frames` pairs at 10 Hz, pair i of disparity 10 + i; the right view 2 ms later.
 
     Args:
         skipped: (view, frame): images that are left out.
+        distortion: Coefficients of the lenses; the images become those of such cameras.
     """
+    lens = np.float64(distortion or [0] * 5)
     with BagWriter(path) as bag:
         for view, topic in enumerate(views):
             if calibrated:
                 parent = topic.removesuffix("/compressed").rpartition("/")[0]
-                bag.camera_info(f"{parent}/camera_info", START_NS, projection(view * BASELINE_M))
+                bag.camera_info(
+                    f"{parent}/camera_info", START_NS, projection(view * BASELINE_M), lens
+                )
         for frame in range(frames):
             for view, picture in enumerate(make_pair(10 + frame, frame)):
+                if distortion:
+                    picture = distorted(picture, lens)
                 if (view, frame) not in skipped:
                     stamp = START_NS + frame * 10**8 + view * 2 * 10**6
                     bag.image(views[view], stamp, picture)
     return path
+
+
+def distorted(picture, lens):
+    """What a camera with such a lens sees of a rectified picture."""
+    camera = projection()[:, :3]
+    pixels = np.float32(np.mgrid[:HEIGHT, :WIDTH][::-1].reshape(2, -1).T)
+    straight = cv2.undistortPoints(pixels[:, None], camera, lens, P=camera)
+    maps = straight.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+    return cv2.remap(picture, maps, None, cv2.INTER_LINEAR)

@@ -79,6 +79,26 @@ def test_a_bag_gives_disparity_and_depth(rosbags, msnet, tmp_path, name, compres
         )
 
 
+def test_raw_images_are_rectified(rosbags, msnet, tmp_path):
+    raw = [view.replace("rect", "raw") for view in VIEWS]
+    lens = [-0.2, 0.05, 0.004, 0.002, 0]
+    write_bag(tmp_path / "raw.mcap", raw, frames=1, distortion=lens)
+    write_bag(tmp_path / "rect.mcap", frames=1)
+    frames = [
+        next(open_stream(str(tmp_path / name), left_topic=left, right_topic=right).frames)
+        for name, (left, right) in (("raw.mcap", raw), ("rect.mcap", VIEWS))
+    ]
+    for side in ("left_image", "right_image"):
+        got, true = (getattr(frame.pair, side).astype(float)[10:-10, 20:-20] for frame in frames)
+        assert np.corrcoef(got.ravel(), true.ravel())[0, 1] > 0.9
+    code, _, _ = msnet(
+        "video", tmp_path / "raw.mcap", *topics(*raw), "--frames", tmp_path / "m", *SGBM
+    )
+    assert code == 0
+    depth = centre(cv2.imread(str(tmp_path / "m/000000_depth.png"), -1))
+    assert np.median(depth) == pytest.approx(1000 * FOCAL_PX * BASELINE_M / 10, rel=0.02)
+
+
 @pytest.mark.parametrize("ending", [".mcap", ".bag"])
 def test_results_go_to_a_bag(rosbags, msnet, tmp_path, ending):
     source, out = write_bag(tmp_path / "run.mcap", frames=2), tmp_path / f"new/out{ending}"

@@ -11,6 +11,7 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import MAP_KINDS, one_of
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.options import OutputFolder
+from mobilestereonet.cli.sinks import SinkOptions
 
 
 def batch(
@@ -45,6 +46,7 @@ def batch(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
+    sinks: SinkOptions,
     options: MatcherOptions,
     cameras: CalibrationOptions,
 ) -> None:
@@ -53,6 +55,7 @@ def batch(
     Exit code 1: some pairs could not be matched.
     """
     import sys
+    from contextlib import ExitStack
     from dataclasses import replace
 
     from mobilestereonet.atomic import make_folder
@@ -60,6 +63,10 @@ def batch(
     from mobilestereonet.errors import InputError
     from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 
+    if ray is not None and sinks.given:
+        raise InputError(
+            f"{sinks.given[0]} is one file for all pairs: it is not written with --ray"
+        )
     # A cluster's processes have working folders of their own.
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
     calibration = cameras.read()
@@ -76,11 +83,11 @@ def batch(
         options = replace(options, model=str(Path(options.model).absolute()))
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     make_folder(output)
-    summary = ""
+    summary, stack = "", ExitStack()
     if ray is None:
         matcher = options.open_matcher()
         summary = f" ({matcher.summary})"
-        statuses = match_pairs(todo, matcher, files)
+        statuses = match_pairs(todo, matcher, files, sinks.open(stack, matcher))
     else:
         statuses = match_on_ray(
             todo,
@@ -92,7 +99,7 @@ def batch(
             gpus=gpus,
         )
     failed = 0
-    with progress_bar("pairs") as progress:
+    with stack, progress_bar("pairs") as progress:
         for status in progress.track(statuses, total=len(todo), description="matching"):
             if status.problem:
                 failed += 1

@@ -11,6 +11,7 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, RightView
+from mobilestereonet.cli.sinks import Rerun
 from mobilestereonet.errors import InputError
 
 
@@ -42,6 +43,7 @@ def predict(
             callback=ends_in(POINTS_ENDINGS, "points are"),
         ),
     ] = None,
+    rerun: Rerun = None,
     max_depth: Annotated[
         float, typer.Option(min=0, help="Leave farther points out, in metres.")
     ] = float("inf"),
@@ -65,9 +67,10 @@ def predict(
     depth_files, point_files = depth or [], points or []
     if not cameras.given and (depth_files or point_files):
         raise InputError("depth and points need --calib FILE, or --focal and --baseline")
-    if cameras.given and not (depth_files or point_files):
-        raise InputError("a calibration is for --depth FILE or --points FILE: add one of them")
-    if not point_files and (min_confidence > 0 or max_depth < float("inf") or keep_edges):
+    if cameras.given and not (depth_files or point_files or rerun):
+        raise InputError("a calibration is for --depth, --points or --rerun FILE: add one of them")
+    too_far = max_depth < float("inf") and rerun is None
+    if not point_files and (min_confidence > 0 or too_far or keep_edges):
         raise InputError(
             "--min-confidence, --max-depth and --keep-edges are for --points FILE: add it, or "
             "leave them out"
@@ -76,6 +79,7 @@ def predict(
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.data.depth_files import write_depth
     from mobilestereonet.inference import load_pair
+    from mobilestereonet.streams import RerunLog, StereoFrame
 
     calibration = cameras.read()
     pair = load_pair(left, right)
@@ -86,6 +90,7 @@ def predict(
         confidence=confidence or min_confidence > 0,
         left_right=left_right,
     )
+    log = None if rerun is None else RerunLog(rerun, max_depth=max_depth)
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)
     result = matcher.match(pair)
@@ -105,6 +110,10 @@ def predict(
         for file in point_files:
             cloud.save(file)
             files[f"points{file.suffix}"] = str(file)
+    if log is not None:
+        with log:
+            log.write(StereoFrame(0, left.stem, 0.0, pair), result, calibration)
+        files["rerun"] = str(rerun)
     info = result.info
     assert info is not None  # the matcher's results have one
     if as_json:

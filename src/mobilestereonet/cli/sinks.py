@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -14,7 +14,17 @@ from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
     from mobilestereonet.inference import StereoMatcher
-    from mobilestereonet.streams.video import Sink
+    from mobilestereonet.streams.batch import Sink
+
+
+Rerun: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="Recording for the Rerun viewer to write, .rrd; or spawn, which opens the viewer, "
+        "or the address of one that runs, rerun+http://HOST:9876/proxy.",
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -49,14 +59,7 @@ class SinkOptions:
             callback=ends_in(BAG_ENDINGS, "bags are"),
         ),
     ] = None
-    rerun: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Recording for the Rerun viewer to write, .rrd; or spawn, which opens the viewer, "
-            "or the address of one that runs, rerun+http://HOST:9876/proxy.",
-        ),
-    ] = None
+    rerun: Rerun = None
     max_depth: Annotated[
         float, typer.Option(min=0, help="Leave farther points out, in metres.")
     ] = float("inf")

@@ -4,6 +4,7 @@ from mobilestereonet.streams.bag_file import BagFile
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.cluster import match_on_ray
 from mobilestereonet.streams.maps import MAP_KINDS, MapFiles
+from mobilestereonet.streams.matched import match_stream
 from mobilestereonet.streams.open import open_stream
 from mobilestereonet.streams.pairs import PairFiles, find_pairs
 from mobilestereonet.streams.rerun_log import RerunLog
@@ -23,6 +24,7 @@ __all__ = [
     "find_pairs",
     "match_on_ray",
     "match_pairs",
+    "match_stream",
     "match_video",
     "open_stream",
 ]

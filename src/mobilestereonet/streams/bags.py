@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mobilestereonet.data.sample import Calibration
+from mobilestereonet.data.rig import Rig
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.streams.ros_input import calibration_of, picture_of
+from mobilestereonet.streams.rectified import Rectifier
+from mobilestereonet.streams.ros_input import picture_of, raw_part, rectified_part, rig_of
 from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
 
 BAG_FORMATS = (".mcap", ".bag", ".db3")
@@ -44,7 +45,8 @@ def open_bag(
 
     Views whose stamps differ by no more than ``tolerance`` are a pair; an image without a partner
     becomes a frame with a problem. The calibration is that of the topics ``camera_info`` beside
-    the images.
+    the images. Images that it calls distorted are rectified by it, unless the names of their
+    topics say that they are (``image_rect``).
 
     Args:
         path: The bag.
@@ -64,8 +66,19 @@ def open_bag(
         topics = {name: (info.msgtype, info.msgcount) for name, info in reader.topics.items()}
         views = _image_topics(path, topics, left, right)
         infos = [_camera_info(reader, topics, view) for view in views]
-    stream = Stream(_frames(path, views, tolerance), min(topics[view][1] for view in views))
-    return replace(stream, calibration=_calibration(path, views, infos), topics=views)
+    rig = _rig(path, views, infos)
+    raw = None if rig is None or all(map(_is_rectified, views)) else raw_part(rig)
+    rectify = None if raw is None else Rectifier(raw)
+    return Stream(
+        _frames(path, views, tolerance, rectify),
+        total=min(topics[view][1] for view in views),
+        calibration=None if rig is None else rectified_part(rig),
+        topics=views,
+    )
+
+
+def _is_rectified(topic: str) -> bool:
+    return "rect" in topic
 
 
 @contextmanager
@@ -115,12 +128,12 @@ def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: 
     return None
 
 
-def _calibration(path: Path, views: tuple[str, str], infos: list[Any]) -> Calibration | None:
-    """The calibration that two cameras' messages give; a warning says why it is none."""
+def _rig(path: Path, views: tuple[str, str], infos: list[Any]) -> Rig | None:
+    """The rig that two cameras' messages give; a warning says why it is none."""
     if None in infos:
         return None
     try:
-        return calibration_of(*infos)
+        return rig_of(*infos)
     except InputError as error:
         warnings.warn(
             f"{path}: no depth from the camera_info of {views[0]} and {views[1]}: {error}; give "
@@ -138,7 +151,9 @@ class _Stamped:
     message: Any
 
 
-def _frames(path: Path, views: tuple[str, str], tolerance: float) -> Generator[StereoFrame]:
+def _frames(
+    path: Path, views: tuple[str, str], tolerance: float, rectify: Rectifier | None
+) -> Generator[StereoFrame]:
     with _open_reader(path) as reader:
         pairs = pair_by_stamp(_images(reader, views), round(tolerance * 1e9))
         start, seconds = None, 0.0
@@ -152,7 +167,8 @@ def _frames(path: Path, views: tuple[str, str], tolerance: float) -> Generator[S
                 problem += f"{tolerance:g} s of it"
                 frame = StereoFrame(index, f"{index:06d}", seconds, None, problem)
             else:
-                frame = _frame(index, seconds, [view.message for view in pair if view is not None])
+                messages = [view.message for view in pair if view is not None]
+                frame = _frame(index, seconds, messages, rectify)
             header = first.message.header
             yield replace(frame, stamp=first.stamp, frame_id=header.frame_id)
 
@@ -168,9 +184,12 @@ def _images(reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped
         yield views.index(connection.topic), _Stamped(nanoseconds or recorded, message)
 
 
-def _frame(index: int, seconds: float, messages: list[Any]) -> StereoFrame:
+def _frame(
+    index: int, seconds: float, messages: list[Any], rectify: Rectifier | None
+) -> StereoFrame:
     try:
-        return make_frame(index, seconds, [picture_of(message) for message in messages])
+        pictures = [picture_of(message) for message in messages]
+        return make_frame(index, seconds, pictures if rectify is None else rectify(pictures))
     except InputError as error:
         return StereoFrame(index, f"{index:06d}", seconds, None, str(error))
 

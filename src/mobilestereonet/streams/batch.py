@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.streams.maps import MapFiles
@@ -15,6 +16,10 @@ from mobilestereonet.streams.stream import StereoFrame
 
 FrameResult: TypeAlias = tuple[StereoFrame, StereoResult | None]
 """A frame and its result, which is None where the frame has a ``problem``."""
+
+
+Sink: TypeAlias = Callable[[StereoFrame, StereoResult, Calibration | None], object]
+"""Takes each matched frame, its result and its calibration, such as `BagFile.write`."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,10 @@ class PairStatus:
 
 
 def match_pairs(
-    pairs: Iterable[PairFiles], matcher: StereoMatcher, files: MapFiles
+    pairs: Iterable[PairFiles],
+    matcher: StereoMatcher,
+    files: MapFiles,
+    sinks: Sequence[Sink] = (),
 ) -> Iterator[PairStatus]:
     """Match pairs and write their maps; reading, matching and writing overlap.
 
@@ -39,6 +47,7 @@ def match_pairs(
         pairs: Files of their views.
         matcher: The matcher.
         files: Files of their maps.
+        sinks: What else gets each pair with its result, such as a recording.
 
     Yields:
         The status of each pair, once its files are written. A pair that cannot be read or
@@ -54,6 +63,8 @@ def match_pairs(
     for frame, result in prefetch(match_frames(frames, matcher)):
         if result is not None:
             files.save(frame.name, result, frame.calibration)
+            for sink in sinks:
+                sink(frame, result, frame.calibration)
         yield PairStatus(frame.name, frame.problem)
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.data.rig import Rig
+from mobilestereonet.data.rig import CameraPair, Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
@@ -92,20 +92,35 @@ def _decoded(pixels: Image, encoding: str) -> Image:
     return np.asarray(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}")))
 
 
-def calibration_of(left: Any, right: Any) -> Calibration | None:
-    """Calibration of rectified pictures from the ``sensor_msgs/CameraInfo`` of both cameras.
+def rig_of(left: Any, right: Any) -> Rig | None:
+    """The rig of two cameras from their ``sensor_msgs/CameraInfo``.
 
     Returns:
-        The calibration; None if a camera says that it is not calibrated.
+        The rig; None if a camera says that it is not calibrated.
 
     Raises:
-        InputError: If the cameras are not those of a rectified pair, see `Rig.from_camera_info`.
+        InputError: If the cameras are not those of a stereo camera, see `Rig.from_camera_info`.
     """
     infos = [_entries(info) for info in (left, right)]
     if any(np.ravel(info["p"])[0] == 0 for info in infos):
         return None
-    geometries = Rig.from_camera_info(*infos).geometries
-    return next(geometry for geometry in geometries if isinstance(geometry, Calibration))
+    return Rig.from_camera_info(*infos)
+
+
+def calibration_of(left: Any, right: Any) -> Calibration | None:
+    """Calibration of rectified pictures, see `rig_of`."""
+    rig = rig_of(left, right)
+    return None if rig is None else rectified_part(rig)
+
+
+def rectified_part(rig: Rig) -> Calibration:
+    """The calibration of a rig's rectified pictures; camera_info always tells it."""
+    return next(each for each in rig.geometries if isinstance(each, Calibration))
+
+
+def raw_part(rig: Rig) -> CameraPair | None:
+    """The cameras of a rig's raw pictures; None if these are rectified as they are."""
+    return next((each for each in rig.geometries if isinstance(each, CameraPair)), None)
 
 
 def _entries(info: Any) -> dict[str, Any]:

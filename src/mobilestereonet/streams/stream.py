@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -56,6 +57,16 @@ class Stream:
     live: bool = False
     calibration: Calibration | None = None
     topics: tuple[str, ...] = ()
+
+
+def in_real_time(frames: Generator[StereoFrame]) -> Generator[StereoFrame]:
+    """Give the frames of a recording when a camera would have given them, and not before."""
+    with closing(frames):
+        started = None
+        for frame in frames:
+            started = time.monotonic() - frame.seconds if started is None else started
+            time.sleep(max(0.0, started + frame.seconds - time.monotonic()))
+            yield frame
 
 
 def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:

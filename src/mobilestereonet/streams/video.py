@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from threading import Event
-from typing import TypeAlias
 
 import numpy as np
 
@@ -19,14 +18,11 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.plots import colour_disparity, side_by_side
-from mobilestereonet.streams.batch import FrameResult, match_frames
+from mobilestereonet.streams.batch import FrameResult, Sink, match_frames
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.stream import StereoFrame, Stream
 from mobilestereonet.streams.video_files import write_video
-
-Sink: TypeAlias = Callable[[StereoFrame, StereoResult, Calibration | None], object]
-"""Takes each matched frame, its result and its calibration, such as `BagFile.write`."""
 
 
 @dataclass
