@@ -16,11 +16,15 @@ from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.text import parse_json, shorten
 
 T = TypeVar("T")
 
 UNSET = "unset"
 """What `differences` gives for a value that only the other side has."""
+
+_MAX_WHOLE = 2**63 - 1
+"""Largest whole number of a setting: what 64 bits hold."""
 
 _WORDS: dict[Any, str] = {
     bool: "true or false",
@@ -39,18 +43,25 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
         assignments: Texts as given to ``--set``. Values are JSON; what is no JSON is text.
 
     Raises:
-        InputError: If an assignment has no "=".
+        InputError: If an assignment has no "=", or a value that `parse_json` refuses.
     """
     options: dict[str, Any] = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
-            raise InputError(f"{assignment!r}: write it as key=value")
-        try:
-            options[key] = json.loads(text)
-        except json.JSONDecodeError:
-            options[key] = text
+            raise InputError(f"{shorten(assignment)!r}: write it as key=value")
+        options[key] = parse_json(text, shorten(assignment)) if _is_json(text) else text
     return options
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except json.JSONDecodeError:
+        return False
+    except (ValueError, RecursionError):  # too many digits, too deep
+        return True
+    return True
 
 
 def build(kind: type[T], values: Any, name: str, *, also_known: Sequence[str] = ()) -> T:
@@ -181,13 +192,17 @@ class _Builder:
             if len(kinds) == len(value) or not members:
                 pairs = zip(kinds or [Any] * len(value), value, strict=True)
                 return tuple(self.value(*pair, name, path) for pair in pairs)
+        elif kind in (int, float) and type(value) is int and abs(value) > _MAX_WHOLE:
+            raise InputError(f"{name} is out of reach: {shorten(str(value))}")
         elif kind is float and type(value) is int:
             return float(value)
+        elif kind is float and value != value:
+            raise InputError(f"{name} must be a number, got NaN")
         elif kind is Path and isinstance(value, str):
             return Path(value)
         elif isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
             return value
-        raise InputError(f"{name} must be {_in_words(hint)}, got {value!r}")
+        raise InputError(f"{name} must be {_in_words(hint)}, got {shorten(repr(value))}")
 
     def _any_of(self, members: Sequence[Any], hint: Any, value: Any, name: str, path: str) -> Any:
         """A value of one of several types; of one type or null, its own message."""
@@ -200,7 +215,7 @@ class _Builder:
             except InputError:
                 if len(kinds) == 1 and isinstance(value, Mapping):
                     raise
-        raise InputError(f"{name} must be {_in_words(hint)}, got {value!r}")
+        raise InputError(f"{name} must be {_in_words(hint)}, got {shorten(repr(value))}")
 
     def _dataclass(self, kind: type[Any], values: Mapping[str, Any], name: str, path: str) -> Any:
         hints, parts = get_type_hints(kind), _fields(kind)

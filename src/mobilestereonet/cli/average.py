@@ -35,8 +35,10 @@ def average(
     """Average weights, such as those of several stages of one training."""
     import torch
 
+    from mobilestereonet.atomic import check_outputs
     from mobilestereonet.weights import average_weights, save_weights
 
+    check_outputs(output)
     mean = average_weights(weights, model=model)
     save_weights(mean, output, dtype=torch.float16 if half else None)
     print(f"{output}: mean of {len(weights)} networks")

@@ -58,7 +58,7 @@ def batch(
     from contextlib import ExitStack
     from dataclasses import replace
 
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.errors import InputError
     from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
@@ -71,6 +71,9 @@ def batch(
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
     calibration = cameras.read()
     pairs = find_pairs(left, right)
+    for pair in pairs:
+        note_inputs(pair.left, pair.right)
+    check_outputs(*(path for pair in pairs for path in files.paths(pair.name)))
     if calibration is not None:
         pairs = [replace(pair, calibration=calibration) for pair in pairs]
     if files.needs_calibration and any(pair.calibration is None for pair in pairs):

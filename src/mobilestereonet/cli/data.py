@@ -48,6 +48,7 @@ def preview(
 
     import numpy as np
 
+    from mobilestereonet.atomic import check_outputs
     from mobilestereonet.data import open_data_set
     from mobilestereonet.data.files import write_png
     from mobilestereonet.plots import contact_sheet
@@ -64,5 +65,6 @@ def preview(
         count = min(count, len(pairs))
         chosen = np.random.default_rng(seed).choice(len(pairs), count, replace=False)
         samples = (pairs[index] for index in sorted(chosen.tolist()))
+    check_outputs(output)
     write_png(output, contact_sheet(samples))
     print(f"{output}: {count} pair{'s' if count > 1 else ''} of {name}")

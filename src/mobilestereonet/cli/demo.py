@@ -23,15 +23,23 @@ def demo(
     """
     import torch
 
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.calibration import write_calibration
     from mobilestereonet.data.files import write_pfm, write_png
     from mobilestereonet.data.motorcycle import CALIBRATION, motorcycle
     from mobilestereonet.data.sample import collate
+    from mobilestereonet.errors import InputError
     from mobilestereonet.inference import RunInfo, StereoMatcher, StereoResult, load_pair
+    from mobilestereonet.inference.result import MAP_FILES
     from mobilestereonet.metrics import StereoMetrics, StereoScores
 
     sample = motorcycle()
+    paths = [output / name for name in ("left.png", "right.png", "calib.txt", "truth.pfm")]
+    maps = [output / f"{sample.name}_{name}" for name in MAP_FILES.values()]
+    check_outputs(*paths, *maps)
+    if not any(path.exists() for path in maps):  # then they are of no earlier demo
+        for path in filter(Path.exists, paths):
+            raise InputError(f"{path} is there already, and stays: choose another folder")
     pair = load_pair(sample.left, sample.right)
     matcher = options.open_matcher()
     make_folder(output)
@@ -45,7 +53,6 @@ def demo(
 
     result, info, scores = match(matcher)
     files = result.save(output, sample.name)
-    paths = [output / name for name in ("left.png", "right.png", "calib.txt", "truth.pfm")]
     write_png(paths[0], pair.left_image)
     write_png(paths[1], pair.right_image)
     write_calibration(paths[2], CALIBRATION, (pair.width, pair.height))

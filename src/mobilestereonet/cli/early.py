@@ -15,6 +15,7 @@ from typing import Any
 
 import typer
 
+from mobilestereonet.atomic import note_inputs
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import parse_assignments
 
@@ -131,6 +132,7 @@ def matches(pattern: str, how: str) -> Callback:
 def _check_file(option: str, path: Path) -> None:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
+    note_inputs(path)
 
 
 def _check_folder(option: str, path: Path) -> None:
@@ -141,6 +143,7 @@ def _check_folder(option: str, path: Path) -> None:
 def _check_weights(option: str, source: Path | str) -> None:
     if Path(source).suffix in _WEIGHTS_ENDINGS and not Path(source).exists():
         raise FileNotFoundError(f"{source}: no such file")
+    note_inputs(source)
 
 
 def check_network(option: str, name: str) -> None:

@@ -95,7 +95,7 @@ def evaluate(
     from rich.console import Console
     from rich.progress import track
 
-    from mobilestereonet.atomic import make_folder, refuse_folder
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data import open_data_set
     from mobilestereonet.evaluation import (
         EvaluationProtocol,
@@ -119,8 +119,7 @@ def evaluate(
     for folder in (pictures, *(file.parent for file in files)):
         if folder is not None:
             make_folder(folder)
-    for file in files:
-        refuse_folder(file)
+    check_outputs(*files)
     progress = Console(stderr=True)
     evaluations = []
     for matcher, own in zip(matchers, protocols, strict=True):

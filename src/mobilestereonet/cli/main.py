@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet import __version__
+from mobilestereonet.atomic import one_call
 from mobilestereonet.cli.ablate import ablate
 from mobilestereonet.cli.average import average
 from mobilestereonet.cli.batch import batch
@@ -89,7 +90,8 @@ def main() -> None:
     warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
     keep_freed_memory()
     try:
-        app()
+        with one_call():
+            app()
     except (InputError, OSError) as error:
         print(f"msnet: {error}".replace("\n", " "), file=sys.stderr)
         sys.exit(2)

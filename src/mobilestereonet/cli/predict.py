@@ -76,11 +76,14 @@ def predict(
             "leave them out"
         )
 
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
     from mobilestereonet.inference import load_pair
+    from mobilestereonet.inference.result import MAP_FILES
     from mobilestereonet.streams import RerunLog, StereoFrame
 
+    maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
+    check_outputs(*maps, *depth_files, *point_files, *([rerun] if rerun else []))
     calibration = cameras.read()
     pair = load_pair(left, right)
     if calibration is not None:
@@ -102,14 +105,14 @@ def predict(
         metres = result.depth(calibration)
         for file in depth_files:
             write_depth(file, metres)
-            files[f"depth{file.suffix}"] = str(file)
+            _list(files, f"depth{file.suffix}", file)
     if calibration is not None and point_files:
         cloud = result.points(
             calibration, max_depth=max_depth, min_confidence=min_confidence, edges=keep_edges
         )
         for file in point_files:
             cloud.save(file)
-            files[f"points{file.suffix}"] = str(file)
+            _list(files, f"points{file.suffix}", file)
     if log is not None:
         with log:
             log.write(StereoFrame(0, left.stem, 0.0, pair), result, calibration)
@@ -123,3 +126,9 @@ def predict(
     print(f"{info}: {info.seconds:.2f} s")
     for path in files.values():
         print(path)
+
+
+def _list(files: dict[str, str], kind: str, path: Path) -> None:
+    """Add a file to those by kind; a second one of its kind as kind_2 and so on."""
+    alike = sum(name == kind or name.startswith(f"{kind}_") for name in files)
+    files[f"{kind}_{alike + 1}" if alike else kind] = str(path)

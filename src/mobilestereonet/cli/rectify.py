@@ -36,17 +36,19 @@ def rectify(
     ] = False,
 ) -> None:
     """Rectify a pair: left.png, right.png, and calib.txt for `msnet predict --calib`."""
-    from mobilestereonet.atomic import make_folder
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data import read_image, write_png
     from mobilestereonet.data.calibration import write_calibration
     from mobilestereonet.data.camera_files import read_rig
     from mobilestereonet.inference.rectify import rectify_pair
 
+    names = ("left.png", "right.png", "calib.txt")
+    check_outputs(*(output / name for name in names))
     rig = read_rig(*calib, unit=unit)
     pair = rectify_pair(read_image(left), read_image(right), rig, whole=whole)
     make_folder(output)
     *views, calibration = pair
-    for name, view in zip(("left.png", "right.png"), views, strict=True):
+    for name, view in zip(names, views, strict=False):
         write_png(output / name, view)
         print(output / name)
     height, width = views[0].shape[:2]

@@ -45,13 +45,13 @@ def submit(
     from rich.console import Console
     from rich.progress import track
 
-    from mobilestereonet.atomic import make_folder, refuse_folder
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
 
     matcher = options.open_matcher()
-    refuse_folder(output, "ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
+    check_outputs(output, kind="ZIP file")
     make_folder(output.parent)
     places = [(part, index) for part in parts for index in range(len(part))]
     console = Console(stderr=True)

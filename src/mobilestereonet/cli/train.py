@@ -66,7 +66,9 @@ def train(
     if model is not None:
         values["model"] = model
     if resume and recipe is None:
-        chosen = read_recipe(folder / "recipe.json")
+        chosen = read_recipe(
+            folder / "recipe.json", trusted=[str(values.get(name)) for name in ("model", "loss")]
+        )
     elif recipe is not None:
         chosen = get_recipe(recipe)
     else:

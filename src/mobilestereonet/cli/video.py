@@ -90,6 +90,7 @@ def video(
 
     import time
 
+    from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.interruption import sigint_sets_event
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
@@ -98,9 +99,13 @@ def video(
     calibration = cameras.read()
     if output is not None:
         check_video_file(output)
-    outputs = [str(path) for path in (output, *sinks.given) if path is not None]
+        note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
+        check_outputs(output)
+        make_folder(output.parent)
+    if frames is not None:
+        make_folder(frames)
     for source in (left, right or left):
-        for path in outputs:
+        for path in map(str, sinks.given):
             if Path(source.removeprefix("file://")).resolve() == Path(path).resolve():
                 raise InputError(f"{path}: it would replace its source; choose another name")
     stream = open_stream(left, right, fps, **asdict(topics))

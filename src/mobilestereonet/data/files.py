@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
+from os import SEEK_END
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mobilestereonet.atomic import write_atomically
+from mobilestereonet.atomic import note_inputs, write_atomically
 from mobilestereonet.data.images import Array
 from mobilestereonet.errors import InputError
 
@@ -22,6 +24,11 @@ _PFM_HEADER = re.compile(
 )
 
 
+_PNG_END = bytes.fromhex("0000000049454e44ae426082")
+"""The last chunk of every PNG file."""
+_HEADER_BYTES = 512
+
+
 def read_bytes(path: str | Path) -> bytes:
     """Read the content of a file.
 
@@ -31,6 +38,7 @@ def read_bytes(path: str | Path) -> bytes:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
+    note_inputs(path)
     return path.read_bytes()
 
 
@@ -120,6 +128,35 @@ def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:
     values = np.frombuffer(content, "<f4" if scale < 0 else ">f4", count, header.end())
     rows = values.reshape(shape)[::-1].astype(np.float32)
     return rows[..., 0] if shape[2] == 1 else rows
+
+
+def is_whole(path: str | Path) -> bool:
+    """Whether there is a file that is not cut off, as far as its beginning and end tell.
+
+    A file system that lost its power can leave files empty or short that were written in one go.
+    """
+    path = Path(path)
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        content = file.read(_HEADER_BYTES)
+        size = file.seek(0, SEEK_END)
+        file.seek(max(0, size - len(_PNG_END)))
+        end = file.read()
+    suffix = path.suffix.lower()
+    if suffix == ".png":
+        return end == _PNG_END
+    if suffix == ".pfm":
+        header = _PFM_HEADER.match(content)
+        channels = 3 if header and header["kind"] == b"PF" else 1
+        return header is not None and size >= header.end() + 4 * channels * (
+            int(header["width"]) * int(header["height"])
+        )
+    if suffix == ".npy":
+        with suppress(ValueError, EOFError, OSError):
+            return np.load(path, mmap_mode="r", allow_pickle=False).size > 0
+        return False
+    return size > 0
 
 
 def write_png(path: str | Path, image: Array) -> None:

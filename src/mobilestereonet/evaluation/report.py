@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.table import Table
 
-from mobilestereonet.atomic import write_atomically
+from mobilestereonet.atomic import write_text
 from mobilestereonet.metrics import MaskScores, StereoScores
 
 _MASK_WORDS = {
@@ -102,18 +103,13 @@ def write_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         rows: Their columns may differ.
         path: File to write.
     """
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-
-    def write(temporary: Path) -> None:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, columns)
-            writer.writeheader()
-            writer.writerows(rows)
-
-    write_atomically(path, write)
+    text = StringIO(newline="")
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def write_json(records: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write records as a JSON list."""
-    text = json.dumps(records, indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_text(path, json.dumps(records, indent=2, allow_nan=False) + "\n")

@@ -83,10 +83,6 @@ class Format(ABC):
     def read_metadata(self, path: Path) -> dict[str, str]:
         """Texts by key that `describe` gave and the file holds."""
 
-    def replaces(self, path: Path) -> bool:
-        """Whether a folder is an earlier file of the format, which a new one may replace."""
-        return False
-
     def versions(self, precision: str = "fp32") -> dict[str, str | None]:
         """Installed versions of what a precision needs; None where a package is missing."""
         quantiser = ("nncf",) if precision == "int8" else ()

@@ -39,10 +39,6 @@ class CoreML(Format):
     def open(self, path: Path) -> None:
         """None: there is nothing to run it with."""
 
-    def replaces(self, path: Path) -> bool:
-        """Whether a folder is an ``.mlpackage``."""
-        return (path / "Manifest.json").is_file()
-
     def read_metadata(self, path: Path) -> dict[str, str]:
         """The user-defined metadata."""
         import coremltools as ct

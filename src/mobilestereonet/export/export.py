@@ -13,6 +13,7 @@ from uuid import uuid4
 from torch import Tensor
 
 from mobilestereonet.accelerate import accelerate
+from mobilestereonet.atomic import check_outputs
 from mobilestereonet.data.motorcycle import motorcycle_views
 from mobilestereonet.engines.benchmark import EagerNetwork
 from mobilestereonet.engines.tracing import Size
@@ -121,7 +122,7 @@ def export_model(
     metadata = describe(
         net, model, embedded=embedded, precision=precision, size=fixed, min_width=min_width
     )
-    with _temporary(output, kind) as path:
+    with _temporary(output) as path:
         run = _convert(kind, Job(network, fixed, precision, metadata, pairs), path)
         export = Export(
             output,
@@ -136,8 +137,9 @@ def export_model(
 def _check_output(output: Path, kind: Format) -> None:
     if output.suffix != kind.ending:
         raise InputError(f"{output}: a file for {kind.name} must end in {kind.ending}")
-    if output.is_dir() and not kind.replaces(output):
-        raise InputError(f"{output} is a folder, and stays: give the name of a file")
+    if output.is_dir():
+        raise InputError(f"{output} is a folder, and stays: choose another output")
+    check_outputs(output)
 
 
 def _convert(kind: Format, job: Job, path: Path) -> Run | None:
@@ -200,7 +202,7 @@ def find_format(name: str) -> Format:
 
 
 @contextmanager
-def _temporary(output: Path, kind: Format) -> Iterator[Path]:
+def _temporary(output: Path) -> Iterator[Path]:
     """A path of the same name in a new folder beside; what is there on success moves out."""
     folder = output.parent / f".{uuid4().hex[:12]}"
     folder.mkdir(parents=True)
@@ -210,12 +212,11 @@ def _temporary(output: Path, kind: Format) -> Iterator[Path]:
         written = sorted(folder.iterdir(), key=lambda path: path.name == output.name)
         targets = [output.parent / path.name for path in written]
         for target in targets:
-            if target.is_dir() and not kind.replaces(target):
-                raise InputError(f"{target} is a folder, and stays: choose another output")
-        for path, target in zip(written, targets, strict=True):
             if target.is_dir():
-                shutil.rmtree(target)
-            path.replace(target)
+                raise InputError(f"{target} is a folder, and stays: choose another output")
+        check_outputs(*targets)
+        for path, target in zip(written, targets, strict=True):
+            path.replace(target.resolve())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -32,6 +32,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image as PILImage
 
+MAP_FILES = {
+    "png": "disparity.png",
+    "pfm": "disparity.pfm",
+    "npy": "disparity.npy",
+    "picture": "picture.png",
+    "confidence": "confidence.png",
+    "confidence_npy": "confidence.npy",
+    "right_png": "right_disparity.png",
+    "right_npy": "right_disparity.npy",
+    "occluded": "occluded.png",
+}
+"""Ends of the names of all files that `StereoResult.save` may write, by kind."""
+
 MAX_PNG_DISPARITY_PX = 65535 / KITTI_SCALE
 """Largest disparity that a 16-bit PNG holds."""
 
@@ -311,24 +324,24 @@ class StereoResult:
         """
         folder = Path(folder)
         disparity = np.where(self.valid, self.disparity, np.float32(np.inf))
-        files: dict[str, tuple[str, Callable[[Path, NDArray[Any]], None], NDArray[Any]]] = {
-            "png": ("disparity.png", _write_storable, disparity),
-            "pfm": ("disparity.pfm", write_pfm, disparity),
-            "npy": ("disparity.npy", write_npy, disparity),
-            "picture": ("picture.png", write_png, self.picture()),
+        files: dict[str, tuple[Callable[[Path, NDArray[Any]], None], NDArray[Any]]] = {
+            "png": (_write_storable, disparity),
+            "pfm": (write_pfm, disparity),
+            "npy": (write_npy, disparity),
+            "picture": (write_png, self.picture()),
         }
         if self.confidence is not None:
             grey = np.rint(255 * self.confidence).astype(np.uint8)
-            files["confidence"] = ("confidence.png", write_png, grey)
-            files["confidence_npy"] = ("confidence.npy", write_npy, self.confidence)
+            files["confidence"] = (write_png, grey)
+            files["confidence_npy"] = (write_npy, self.confidence)
         if self.right_disparity is not None:
-            files["right_png"] = ("right_disparity.png", _write_storable, self.right_disparity)
-            files["right_npy"] = ("right_disparity.npy", write_npy, self.right_disparity)
+            files["right_png"] = (_write_storable, self.right_disparity)
+            files["right_npy"] = (write_npy, self.right_disparity)
         if self.occluded is not None:
-            files["occluded"] = ("occluded.png", write_png, np.uint8(255) * self.occluded)
+            files["occluded"] = (write_png, np.uint8(255) * self.occluded)
         paths = {}
-        for kind, (name, write, values) in files.items():
-            paths[kind] = folder / f"{stem}_{name}"
+        for kind, (write, values) in files.items():
+            paths[kind] = folder / f"{stem}_{MAP_FILES[kind]}"
             write(paths[kind], values)
         return paths
 

@@ -12,12 +12,14 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from mobilestereonet.atomic import write_atomically
+from mobilestereonet.atomic import write_text
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import EvaluationProtocol, evaluate
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import list_models, model_config
 from mobilestereonet.paper.tables import ablation_tables
+from mobilestereonet.settings import build
+from mobilestereonet.text import read_json
 from mobilestereonet.training.data import RunData
 from mobilestereonet.training.recipe import Recipe, read_recipe
 from mobilestereonet.training.run import train
@@ -54,6 +56,11 @@ class AblationRow:
     model: str
     pairs: int
     figures: dict[str, float]
+
+    def __post_init__(self) -> None:
+        for name in _FIGURES:
+            if not isinstance(self.figures.get(name), float | int):
+                raise InputError(f"figures lack {name}, a number")
 
 
 def ablate(
@@ -100,7 +107,9 @@ def ablate(
         own = replace(recipe, model=model).with_absolute_paths()
         run = folder / Path(model).name.replace(":", ".")  # the user's own have a folder
         if (run / "recipe.json").is_file():
-            before = read_recipe(run / "recipe.json").with_absolute_paths()
+            before = read_recipe(
+                run / "recipe.json", trusted=(own.model, own.loss)
+            ).with_absolute_paths()
             if changed := before.changes(own):
                 raise InputError(
                     f"{run} holds a run under another recipe ({changed}): set it as it was, or "
@@ -120,15 +129,14 @@ def ablate(
             device = "cuda" if accelerator != "cpu" and torch.cuda.is_available() else "cpu"
             pairs = RunData(own, workers).validation(device)
             _write_json(score, asdict(_score(own, run, pairs, device)))
-        rows.append(AblationRow(**json.loads(score.read_text("utf-8"))))
+        rows.append(build(AblationRow, read_json(score), str(score)))
         record = {"recipe": asdict(recipe), "rows": [asdict(row) for row in rows]}
         _write_json(folder / "ablation.json", record)
         yield rows[-1]
 
 
 def _write_json(path: Path, record: dict[str, Any]) -> None:
-    text = json.dumps(record, indent=2) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+    write_text(path, json.dumps(record, indent=2) + "\n")
 
 
 def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:

@@ -13,7 +13,7 @@ from mobilestereonet.data.disparity_files import (
     read_disparity_png,
     write_disparity_png,
 )
-from mobilestereonet.data.files import write_npy, write_pfm, write_png
+from mobilestereonet.data.files import is_whole, write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
@@ -72,14 +72,18 @@ class MapFiles:
         """The file of one of a pair's maps."""
         return self.folder / f"{name}_{kind}"
 
+    def paths(self, name: str) -> list[Path]:
+        """The files of all maps of a pair."""
+        return [self.path(name, kind) for kind in self.kinds]
+
     def finished(self, name: str) -> bool:
-        """Whether a pair has all its files; each is written in one go, so they are whole."""
-        return all(self.path(name, kind).is_file() for kind in self.kinds)
+        """Whether a pair has all its files, and these are whole."""
+        return all(is_whole(path) for path in self.paths(name))
 
     def matched(self, name: str) -> bool:
         """Whether a pair has its disparities; other maps can be made of the PNG, to 1/256 px."""
         kinds = [kind for kind in self.kinds if kind.startswith("disparity")]
-        return all(self.path(name, kind).is_file() for kind in ("disparity.png", *kinds))
+        return all(is_whole(self.path(name, kind)) for kind in ("disparity.png", *kinds))
 
     def unfinished(self, pairs: Sequence[PairFiles]) -> list[PairFiles]:
         """The pairs that lack a file."""
@@ -109,7 +113,7 @@ class MapFiles:
             calibration.require_size(width, height)  # before the first of several files
         for kind in self.kinds:
             path = self.path(name, kind)
-            if keep and path.is_file():
+            if keep and is_whole(path):
                 continue
             if kind in _WRITERS:
                 _WRITERS[kind](path, result)

@@ -67,6 +67,36 @@ class AtomicCheckpoints(TorchCheckpointIO):
         return found
 
 
+_OF_A_RUN = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "callbacks")
+"""What Lightning needs of a checkpoint to go on."""
+
+
+def check_resumable(path: Path, module: L.LightningModule) -> None:
+    """Check that a run can go on from a checkpoint, before anything of the run is changed.
+
+    Raises:
+        InputError: If it is damaged, no checkpoint of a training run, or one of another network.
+    """
+    found = AtomicCheckpoints().load_checkpoint(path)
+    lacks = [name for name in _OF_A_RUN if not isinstance(found, dict) or name not in found]
+    lacks = lacks or [name for name in _OF_A_RUN[:2] if not found[name]]
+    if lacks:
+        raise InputError(
+            f"{path}: no checkpoint that a run can go on from, it lacks {', '.join(lacks)}: start "
+            "anew in another folder"
+        )
+    its, own = (
+        {name: tuple(getattr(value, "shape", ())) for name, value in dict(state).items()}
+        for state in (found["state_dict"], module.state_dict())
+    )
+    if wrong := its.items() ^ own.items():
+        name, _ = min(wrong)
+        raise InputError(
+            f"{path}: of another network than the recipe's: {name} is of shape "
+            f"{its.get(name, 'none')}, not {own.get(name, 'none')}: start anew in another folder"
+        )
+
+
 class LastCheckpoint(Checkpoint):
     """Write a checkpoint every so many steps, at the last one, and when the run is stopped.
 

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml  # type: ignore[import-untyped]
 
 from mobilestereonet import settings
 from mobilestereonet.data.augment import AugmentConfig
@@ -22,6 +21,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel, model_config, model_info
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.settings import build, differences
+from mobilestereonet.text import parse_yaml, read_json, read_text
 from mobilestereonet.weights import is_embedded
 
 MODEL_LOSS = "model"
@@ -215,9 +215,7 @@ class Recipe:
         paths |= {key: name for key, name in by_name.items() if name and not is_embedded(name)}
         given = {key: str(Path(path).resolve()) for key, path in paths.items() if path is not None}
         for key in ("model", "loss"):
-            file, colon, name = getattr(self, key).rpartition(":")
-            if file.endswith(".py"):
-                given[key] = f"{Path(file).resolve()}{colon}{name}"
+            given[key] = _absolute(getattr(self, key))
         return dataclasses.replace(self, **given)  # type: ignore[arg-type]
 
     def changes(self, now: Recipe) -> str:
@@ -237,7 +235,7 @@ class Recipe:
 
 def _named_recipes() -> dict[str, Recipe]:
     """The recipes of the folder ``recipes``; one may name another as its ``base``."""
-    records = {path.stem: yaml.safe_load(path.read_text("utf-8")) for path in RECIPE_FILES}
+    records = {path.stem: parse_yaml(read_text(path), path.name) for path in RECIPE_FILES}
 
     def complete(record: Mapping[str, Any]) -> dict[str, Any]:
         base = record.get("base")
@@ -283,20 +281,46 @@ def default_recipe(model: str) -> Recipe:
     return dataclasses.replace(RECIPES[name], model=model)
 
 
-def read_recipe(path: Path) -> Recipe:
+def read_recipe(path: Path, *, trusted: Collection[str] = ()) -> Recipe:
     """The recipe that a run wrote beside its checkpoints.
+
+    Args:
+        path: The ``recipe.json``.
+        trusted: References such as ``my_net.py:MyNet`` that the user gave.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        InputError: If the file is no recipe.
+        InputError: If the file is no recipe, or names code in its own folder that is not
+            ``trusted``: who got the folder from somebody has not asked for that to be run.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} holds no run: there is no {path.name} in it")
+    record = _of_older_versions(read_json(path))
+    if isinstance(record, dict):
+        _refuse_code(record, path, trusted)
     try:
-        record = _of_older_versions(json.loads(path.read_text("utf-8")))
         return build(Recipe, record, "recipe", also_known=_net_names(record))
-    except (ValueError, InputError) as error:  # ValueError: no JSON, or no text at all
+    except InputError as error:
         raise InputError(f"{path}: not a recipe: {error}") from None
+
+
+def _refuse_code(record: dict[str, Any], path: Path, trusted: Collection[str]) -> None:
+    known = {_absolute(reference) for reference in trusted}
+    for name, option in (("model", "--model"), ("loss", "--set loss=")):
+        reference = _absolute(str(record.get(name)))
+        file = Path(reference.rpartition(":")[0])
+        is_beside = file.suffix == ".py" and path.parent.resolve() in file.parents
+        if is_beside and reference not in known:
+            raise InputError(
+                f"{path}: its {name} is code that lies beside it, {reference}, and is not run "
+                f"unasked: if you trust it, name it by {option}"
+            )
+
+
+def _absolute(reference: str) -> str:
+    """A reference such as ``my_net.py:MyNet`` with the file's whole path; other names stay."""
+    file, colon, name = reference.rpartition(":")
+    return f"{Path(file).resolve()}{colon}{name}" if file.endswith(".py") else reference
 
 
 def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:

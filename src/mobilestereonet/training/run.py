@@ -16,7 +16,13 @@ from typing import Any
 
 import torch
 
-from mobilestereonet.atomic import make_folder, write_atomically
+from mobilestereonet.atomic import (
+    check_outputs,
+    locked_folder,
+    make_folder,
+    note_inputs,
+    write_text,
+)
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.interruption import sigint_sets_event
 from mobilestereonet.nets import is_model, model_config, model_name
@@ -28,6 +34,7 @@ from mobilestereonet.training.callbacks import (
     ProgressBar,
     StopWhenAsked,
     TimeLimit,
+    check_resumable,
     moving_average,
 )
 from mobilestereonet.training.data import RunData
@@ -40,7 +47,7 @@ with needs_extra("train"):
     from lightning.fabric.utilities.exceptions import MisconfigurationException
     from lightning.pytorch.callbacks import Callback
     from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
-    from lightning.pytorch.utilities import rank_zero_info
+    from lightning.pytorch.utilities import rank_zero_info, rank_zero_only
 
 _STOPPING = "Stopping after this step; Ctrl-C again stops at once"
 
@@ -88,9 +95,9 @@ def train(
     Raises:
         FileNotFoundError: If a run to resume has lost its recipe, or a file or folder that the
             recipe names is not there.
-        InputError: If the folder holds another run, or none to resume, or one that started from
-            other weights, or its checkpoint holds more than data; if the data or the initial
-            weights do not fit; if a value of the recipe does not fit the network; if Lightning
+        InputError: If the folder holds another run or one that is going on, or none to resume, or
+            one that started from other weights, or its checkpoint holds more than data or another
+            network; if the data or the initial weights do not fit; if a value of the recipe does not fit the network; if Lightning
             refuses the precision, the devices or the time.
         KeyboardInterrupt: After Ctrl-C, when checkpoint and weights are written; after a second
             one at once.
@@ -101,6 +108,9 @@ def train(
         raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
     recipe = recipe.with_absolute_paths()
     before = _recipe_before(recipe, folder, last, resume)
+    if not resume:  # which reads neither
+        note_inputs(*filter(None, (recipe.weights, recipe.teacher)))
+    check_outputs(last, folder / "recipe.json", folder / "weights.safetensors")
     data = RunData(recipe, workers)
     global_batch = recipe.batch_size * ranks
     steps = _steps(recipe, data, global_batch)
@@ -111,8 +121,10 @@ def train(
     cuda = accelerator != "cpu" and torch.cuda.is_available()
     average = moving_average(recipe.ema, "cuda" if cuda else "cpu") if recipe.ema else None
     stop = Event()
+    if resume:
+        check_resumable(last, module)
     make_folder(folder)
-    with _quiet_lightning():
+    with locked_folder(folder, rank_zero_only.rank == 0), _quiet_lightning():
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
         callbacks += [StopWhenAsked(stop)]
         callbacks += [clock] if clock else []
@@ -162,8 +174,7 @@ def train(
 
 
 def _write_recipe(recipe: Recipe, folder: Path) -> None:
-    text = recipe.to_json() + "\n"
-    write_atomically(folder / "recipe.json", lambda path: path.write_text(text, "utf-8"))
+    write_text(folder / "recipe.json", recipe.to_json() + "\n")
 
 
 def _recipe_before(recipe: Recipe, folder: Path, last: Path, resume: bool) -> Recipe:
@@ -174,7 +185,9 @@ def _recipe_before(recipe: Recipe, folder: Path, last: Path, resume: bool) -> Re
         return recipe
     if not last.is_file():
         raise InputError(f"nothing to resume: {last} is not there; start without --resume")
-    before = read_recipe(folder / "recipe.json").with_absolute_paths()
+    before = read_recipe(
+        folder / "recipe.json", trusted=(recipe.model, recipe.loss)
+    ).with_absolute_paths()
     if recipe.weights != before.weights:
         option = f"give --weights {before.weights}" if before.weights else "leave --weights out"
         raise InputError(

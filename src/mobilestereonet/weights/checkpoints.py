@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.text import read_json
 from mobilestereonet.weights.files import WeightsFile
 
 _WRAPPERS = ("state_dict", "model_state_dict", "model")
@@ -90,11 +90,11 @@ def _reason(error: Exception) -> str:
 
 def _read_recipe(path: Path) -> tuple[str | None, dict[str, Any]]:
     """Network and config of a run: what its recipe says of them."""
+    recipe = read_json(path)
     try:
-        recipe = json.loads(path.read_text("utf-8"))
         model = recipe.get("model")
         config = {key: recipe[key] for key in _FLAT_VALUES if key in recipe}
         config |= recipe.get("net") or {}
-    except (ValueError, AttributeError, TypeError) as error:
+    except (AttributeError, TypeError) as error:
         raise InputError(f"{path}: not a recipe: {error}") from None
     return model, config

@@ -13,9 +13,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mobilestereonet.atomic import write_atomically
+from mobilestereonet.atomic import write_atomically, write_text
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, list_models, model_info, model_name
+from mobilestereonet.text import parse_json, shorten
 
 CHECKPOINT_ENDINGS = (".bin", ".ckpt", ".pt", ".pth", ".tar")
 """Endings of PyTorch's own files, which `torch.save` writes."""
@@ -86,8 +87,7 @@ def save_weights(
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write indented JSON, atomically."""
-    text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
-    write_atomically(path, lambda file: file.write_text(text, "utf-8"))
+    write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 def model_reference(net: StereoModel) -> str:
@@ -131,11 +131,11 @@ def parse_config(path: Path, record: dict[str, Any]) -> tuple[str, dict[str, Any
     Raises:
         InputError: If the config is no JSON object.
     """
-    try:
-        config = record["config"]
-        config = json.loads(config) if isinstance(config, str) else config
-    except ValueError as error:
-        raise InputError(f"{path}: its network config is no JSON: {error}") from None
+    config = record["config"]
+    if isinstance(config, str):
+        config = parse_json(config, f"{path}: its network config")
     if not isinstance(config, dict):
-        raise InputError(f"{path}: its network config is no JSON object, got {config!r}")
+        raise InputError(
+            f"{path}: its network config is no JSON object, got {shorten(repr(config))}"
+        )
     return str(record.get("model", _FAMILY)), config

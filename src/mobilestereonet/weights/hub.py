@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mobilestereonet.atomic import write_atomically
+from mobilestereonet.atomic import write_text
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel
 from mobilestereonet.weights.files import model_reference, save_weights, write_json
@@ -67,8 +67,7 @@ def save_pretrained(
     write_json(folder / "config.json", record | {"preprocessing": asdict(net.preprocessing)})
     if card is not None:
         write_json(folder / "card.json", card)
-    text = model_page(model, card or {})
-    write_atomically(folder / "README.md", lambda file: file.write_text(text, "utf-8"))
+    write_text(folder / "README.md", model_page(model, card or {}))
 
 
 def model_page(model: str, card: dict[str, Any]) -> str:

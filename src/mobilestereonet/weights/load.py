@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, build_model
+from mobilestereonet.text import read_json
 from mobilestereonet.weights.authors import from_authors
 from mobilestereonet.weights.build import build_from
 from mobilestereonet.weights.caffe import ENDING as CAFFE_ENDING
@@ -146,10 +146,7 @@ def _read_folder(folder: Path) -> WeightsFile:
     weights, file = read_weights_file(found[0]), folder / "config.json"
     if not file.is_file():
         return weights
-    try:
-        record = json.loads(file.read_text("utf-8"))
-    except ValueError as error:
-        raise InputError(f"{file}: no JSON: {error}") from None
+    record = read_json(file)
     if not isinstance(record, dict) or "config" not in record:
         raise InputError(f"{file}: not of this package: it has no network config")
     model, config = parse_config(file, record)

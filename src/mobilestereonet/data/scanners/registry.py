@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from mobilestereonet.atomic import note_inputs
 from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import check_arguments
@@ -63,4 +64,7 @@ def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
         hint = f"did you mean {', '.join(near)}? There are" if near else "there are"
         raise InputError(f"unknown data set {name!r}: {hint} {', '.join(known)}")
     options = check_arguments(known[name].__init__, options, name, reserved=["root"])
-    return known[name](root, **options)
+    found = known[name](root, **options)
+    for frame in found.frames:
+        note_inputs(*filter(None, (frame.left, frame.right, frame.disparity)))
+    return found
