@@ -106,5 +106,5 @@ def test_yaml_of_honest_files():
 
 @pytest.mark.parametrize("value", ["9" * 5000, "[" * DEEP, "NaN", '{"a": 1, "a": 2}'])
 def test_assignments_that_json_cannot_hold(value):
-    with pytest.raises(InputError, match="^lr="):
+    with pytest.raises(InputError, match=r"^lr="):
         parse_assignments([f"lr={value}"])

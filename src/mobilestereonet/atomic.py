@@ -41,7 +41,7 @@ def note_inputs(*paths: str | Path) -> None:
     if _inputs is not None:
         for path in paths:
             with suppress(OSError, ValueError):
-                state = os.stat(path)
+                state = Path(path).stat()
                 _inputs.add((state.st_dev, state.st_ino))
 
 
@@ -144,7 +144,7 @@ def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text atomically; bytes of file names that are no text as ``\\udcNN``."""
+    """Write UTF-8 text atomically; bytes of file names that are no text are escaped."""
     content = text.encode("utf-8", "backslashreplace")
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from test_run import RECIPE, _train
 
 from mobilestereonet.atomic import locked_folder
 from mobilestereonet.errors import InputError
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
-from test_run import RECIPE, _train
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 

@@ -154,7 +154,7 @@ def is_whole(path: str | Path) -> bool:
         )
     if suffix == ".npy":
         with suppress(ValueError, EOFError, OSError):
-            return np.load(path, mmap_mode="r", allow_pickle=False).size > 0
+            return bool(np.load(path, mmap_mode="r", allow_pickle=False).size)
         return False
     return size > 0
 

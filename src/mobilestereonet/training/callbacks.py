@@ -60,9 +60,10 @@ class AtomicCheckpoints(TorchCheckpointIO):
         try:
             found: dict[str, Any] = torch.load(path, map_location, weights_only=True)
         except Exception as error:  # whatever a damaged file makes of the reader
+            reason = str(error).partition("\n")[0] or type(error).__name__
             raise InputError(
                 f"{path}: not a checkpoint of `msnet train` that is data only, nothing of it was "
-                f"run ({str(error).splitlines()[0]}): start anew in another folder"
+                f"run ({reason}): start anew in another folder"
             ) from None
         return found
 

@@ -97,8 +97,8 @@ def train(
             recipe names is not there.
         InputError: If the folder holds another run or one that is going on, or none to resume, or
             one that started from other weights, or its checkpoint holds more than data or another
-            network; if the data or the initial weights do not fit; if a value of the recipe does not fit the network; if Lightning
-            refuses the precision, the devices or the time.
+            network; if the data or the initial weights do not fit; if a value of the recipe does
+            not fit the network; if Lightning refuses the precision, the devices or the time.
         KeyboardInterrupt: After Ctrl-C, when checkpoint and weights are written; after a second
             one at once.
     """
@@ -124,7 +124,7 @@ def train(
     if resume:
         check_resumable(last, module)
     make_folder(folder)
-    with locked_folder(folder, rank_zero_only.rank == 0), _quiet_lightning():
+    with locked_folder(folder, getattr(rank_zero_only, "rank", 0) == 0), _quiet_lightning():
         callbacks: list[Callback] = [LastCheckpoint(last, recipe.save_every)]
         callbacks += [StopWhenAsked(stop)]
         callbacks += [clock] if clock else []
