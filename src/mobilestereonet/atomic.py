@@ -21,6 +21,9 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+_MAX_ENDING = 32
+"""Characters of a name's endings, such as .tar.gz, that its temporary name has as well."""
+
 _inputs: set[tuple[int, int]] | None = None
 """Device and inode of each file that the present call reads; None outside of `one_call`."""
 
@@ -129,7 +132,8 @@ def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None
     path = Path(path)
     target = _target(path, "file")
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{uuid4().hex[:12]}{target.suffix}")
+    ending = "".join(target.suffixes)[-_MAX_ENDING:]
+    temporary = target.with_name(f".{uuid4().hex[:12]}{ending}")
     try:
         writer(temporary)
         if target.exists():

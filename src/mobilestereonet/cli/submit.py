@@ -49,9 +49,9 @@ def submit(
     from mobilestereonet.evaluation import open_benchmark, plan_submission, write_submission
 
     matcher = options.open_matcher()
+    check_outputs(output, kind="ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
     parts = open_benchmark(benchmark, root, size, training_only)
-    check_outputs(output, kind="ZIP file")
     make_folder(output.parent)
     places = [(part, index) for part in parts for index in range(len(part))]
     console = Console(stderr=True)

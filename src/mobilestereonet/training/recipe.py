@@ -21,7 +21,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel, model_config, model_info
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.settings import build, differences
-from mobilestereonet.text import parse_yaml, read_json, read_text
+from mobilestereonet.text import parse_json, parse_yaml, read_text
 from mobilestereonet.weights import is_embedded
 
 MODEL_LOSS = "model"
@@ -295,7 +295,7 @@ def read_recipe(path: Path, *, trusted: Collection[str] = ()) -> Recipe:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} holds no run: there is no {path.name} in it")
-    record = _of_older_versions(read_json(path))
+    record = _of_older_versions(parse_json(read_text(path), f"{path}: not a recipe"))
     if isinstance(record, dict):
         _refuse_code(record, path, trusted)
     try:
