@@ -138,7 +138,7 @@ def video(
             report=report,
         )
     rate = stats.matched / (time.perf_counter() - started)
-    written = " and ".join(str(path) for path in (*outputs, frames) if path is not None)
+    written = " and ".join(str(path) for path in (output, *sinks.given, frames) if path)
     print(f"{written}: {stats.matched} frames, {rate:.2f} per second, {matcher.summary}")
     if stats.broken:
         print(f"{stats.broken} broken frame{'s' * (stats.broken > 1)} skipped")
