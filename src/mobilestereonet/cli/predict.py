@@ -83,7 +83,7 @@ def predict(
     from mobilestereonet.streams import RerunLog, StereoFrame
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
-    check_outputs(*maps, *depth_files, *point_files, *([rerun] if rerun else []))
+    check_outputs(*maps, *depth_files, *point_files)
     calibration = cameras.read()
     pair = load_pair(left, right)
     if calibration is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilestereonet.atomic import refuse_folder, write_atomically
+from mobilestereonet.atomic import check_outputs, write_atomically
 from mobilestereonet.data.images import FloatMap, Picture
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference.geometry import MAX_DISPARITY_GRADIENT
@@ -114,7 +114,7 @@ def check_mesh_file(path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() not in MESH_FORMATS:
         raise InputError(f"{path}: meshes are written as {', '.join(MESH_FORMATS)}")
-    refuse_folder(path)
+    check_outputs(path)
     return path
 
 

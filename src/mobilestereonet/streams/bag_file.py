@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
-from mobilestereonet.atomic import refuse_folder
+from mobilestereonet.atomic import check_outputs
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import StereoResult
@@ -54,7 +54,7 @@ class BagFile:
         self.path = Path(path)
         if self.path.suffix.lower() not in BAG_ENDINGS:
             raise InputError(f"{path}: bags are written as {' or '.join(BAG_ENDINGS)}")
-        refuse_folder(self.path)
+        check_outputs(self.path)
         with needs_extra("bags"):
             from rosbags.typesys import Stores, get_typestore
         self._of_ros1 = self.path.suffix.lower() == ".bag"

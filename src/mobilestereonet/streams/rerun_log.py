@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mobilestereonet.atomic import refuse_folder
+from mobilestereonet.atomic import check_outputs
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import StereoResult
@@ -132,5 +132,5 @@ def file_of(target: str | Path) -> Path | None:
             f"{target}: a recording for Rerun is a file that ends in {RERUN_ENDING}; spawn opens "
             "the viewer, and rerun+http://HOST:9876/proxy is the address of one that runs"
         )
-    refuse_folder(path)
+    check_outputs(path)
     return path
