@@ -10,14 +10,18 @@ import torch.nn.functional as F
 from torch import nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from mobilestereonet.accelerate import accelerate
+from mobilestereonet.accelerate import accelerate, semi_global
 from mobilestereonet.accelerate.batched import _group_means, _shifted_sums
+from mobilestereonet.accelerate.correlation import BandedCorrelation1D, BandedCostSignatures
 from mobilestereonet.accelerate.depthwise import depthwise_conv3d
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax, _soft_argmax
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import Prediction, StereoModel, build_model
+from mobilestereonet.nets.cross_based import Penalties, SemiGlobalMatching
+from mobilestereonet.nets.fast_ds_cs import CostSignatures
 from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import NetConfig
+from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 
@@ -212,3 +216,67 @@ def test_custom_operators_are_well_formed(channels_last):
     check(_group_means, (tensor(2, 8, 4, 9), tensor(2, 8, 4, 9), 5, 4))
     check(_shifted_sums, (*(tensor(2, 6, 4, 9) for _ in range(4)), 5))
     check(_soft_argmax, (tensor(2, 6, 4, 9), True))
+
+
+def assert_same(found, expected):
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("width", [3, 17])
+@pytest.mark.parametrize("lines", [1, 1 << 17])
+def test_correlation_by_products(width, lines, monkeypatch):
+    monkeypatch.setattr("mobilestereonet.accelerate.correlation._CACHED_ELEMENTS", lines)
+    torch.manual_seed(0)
+    views = torch.randn(2, 2, 5, 4, width, dtype=torch.float64, requires_grad=True)
+    expected, found = (layer(*views) for layer in (Correlation1D(6), BandedCorrelation1D(6)))
+    assert_same(found, expected)
+    target = torch.randn_like(expected)
+    grads = [torch.autograd.grad((x * target).sum(), views)[0] for x in (found, expected)]
+    assert_same(*grads)
+
+
+@pytest.mark.parametrize("width", [6, 20])
+def test_cost_signatures_by_products(width):
+    torch.manual_seed(0)
+    left, right = torch.rand(2, 2, 3, 7, width, dtype=torch.float64)
+    expected = CostSignatures(9)(left, right)
+    assert_same(BandedCostSignatures(9)(left, right), expected)
+    left.requires_grad_()
+    assert_same(BandedCostSignatures(9)(left, right), expected)
+
+
+@pytest.mark.parametrize("size", [(9, 20), (130, 7)])  # 2 x 130 is no uint8
+@pytest.mark.parametrize("side", [-1, 1])
+def test_semi_global_matching_in_blocks(size, side, monkeypatch):
+    monkeypatch.setattr(semi_global, "_CACHED_ELEMENTS", 40)
+    torch.manual_seed(0)
+    volume = 5 * torch.rand(12, *size, dtype=torch.float64)
+    for d in range(12):
+        plane = volume[d].flip(1) if side > 0 else volume[d]
+        plane = plane.index_fill(1, torch.arange(min(d, size[1])), torch.inf)
+        volume[d] = plane.flip(1) if side > 0 else plane
+    views = torch.randn(2, *size, dtype=torch.float64) / 10
+    penalties = Penalties(2.3, 18.4, 3, 2, 1.25, 0.08)
+    expected = SemiGlobalMatching(penalties)(volume, *views, side)
+    assert_same(semi_global.BlockwiseMatching(penalties)(volume, *views, side), expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "layer"),
+    [
+        ("dispnet-corr1d", {"width": 8}, BandedCorrelation1D),
+        ("iresnet", {"width": 8}, BandedCorrelation1D),
+        ("fast-ds-cs", {}, BandedCostSignatures),
+        ("mccnn-fast", {"max_disparity": 16}, semi_global.BlockwiseMatching),
+    ],
+)
+def test_networks_with_operations_of_their_own(name, fields, layer):
+    torch.manual_seed(0)
+    net = build_model(name, **fields).double().eval()
+    left, right = torch.rand(2, 1, 3, 64, 128, dtype=torch.float64)
+    fast = accelerate(net, "inference")
+    assert any(type(module) is layer for module in fast.modules())
+    with torch.no_grad():
+        expected = net(left, right).disparity
+        found = fast(left, right).disparity
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)

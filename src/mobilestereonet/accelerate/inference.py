@@ -14,6 +14,10 @@ from torch.nn.utils import (
     convert_conv3d_weight_memory_format,
 )
 
+from mobilestereonet.accelerate.correlation import (
+    correlate_by_products,
+    count_bits_by_products,
+)
 from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
@@ -24,6 +28,7 @@ from mobilestereonet.accelerate.planewise import (
     StackedPlanes,
 )
 from mobilestereonet.accelerate.rows import process_by_rows
+from mobilestereonet.accelerate.semi_global import match_in_blocks
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel
@@ -43,6 +48,9 @@ def inference_form(net: StereoModel) -> StereoModel:
     fold_norms(net)
     use_closed_form(net)
     aggregate_in_lines(net)
+    correlate_by_products(net)
+    count_bits_by_products(net)
+    match_in_blocks(net)
     if on_cpu:
         if type(net) is MobileStereoNet:
             images_one_by_one(net)

@@ -14,6 +14,7 @@ from mobilestereonet.accelerate.batched import (
     BatchedLearnedVolume,
     BatchedMobileStereoNet,
 )
+from mobilestereonet.accelerate.correlation import correlate_by_products
 from mobilestereonet.accelerate.depthwise import fast_depthwise, has_triton
 from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import replace_modules, sharing_copy
@@ -41,6 +42,7 @@ def training_form(net: StereoModel) -> StereoModel:
     convert_conv3d_weight_memory_format(fast, torch.channels_last_3d)
     use_closed_form(fast)
     aggregate_in_lines(fast)
+    correlate_by_products(fast)
     replace_modules(fast, LearnedVolume, BatchedLearnedVolume)
     replace_modules(fast, Correlation, BatchedCorrelation)
     fast_depthwise(fast)

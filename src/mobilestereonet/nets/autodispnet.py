@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.dispnet import CORRELATION, REACH, DispNetC
-from mobilestereonet.nets.operations import correlation_1d
+from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     RegressionModel,
@@ -234,6 +234,7 @@ class AutoDispNetC(RegressionModel):
         self.feature_cell = EncoderCell(
             2 * stem, 2 * stem, 2 * c, reduces=True, after_reduction=False
         )
+        self.correlate = Correlation1D(REACH)
         sizes = [12 * c, CORRELATION]  # channels: both views' features, correlation, each cell
         self.encoder_cells = nn.ModuleList()
         for i, channels in enumerate((2 * c, 4 * c, 4 * c, 8 * c, 8 * c, 16 * c)):
@@ -266,7 +267,7 @@ class AutoDispNetC(RegressionModel):
         left_stem, right_stem = self.stems(left), self.stems(right)
         left_features = self.feature_cell(left_stem, left_stem)
         right_features = self.feature_cell(right_stem, right_stem)
-        correlation = F.relu(correlation_1d(left_features, right_features, REACH))
+        correlation = F.relu(self.correlate(left_features, right_features))
         states = [torch.cat((left_features, right_features), dim=1), correlation]
         for cell in self.encoder_cells:
             states.append(cell(*states[-2:]))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 OUTSIDE = 10.0
 """Intensity step at a partner outside the image, in standard deviations of the image."""
@@ -134,8 +134,8 @@ def semi_global_matching(
     total = torch.zeros_like(costs)
     for dim in (0, 1):
         for backwards in (False, True):
-            classes = _step_classes(left, dim, backwards, penalties.step)[..., None]
-            partner = _step_classes(right, dim, backwards, penalties.step)
+            classes = step_classes(left, dim, backwards, penalties.step)[..., None]
+            partner = step_classes(right, dim, backwards, penalties.step)
             steps = _at_partner(partner, len(volume), side)
             below = p1 / alpha if dim == 0 and not backwards else p1
             above = p1 / alpha if dim == 0 and backwards else p1
@@ -143,7 +143,23 @@ def semi_global_matching(
     return (total / 4).permute(2, 0, 1).contiguous()
 
 
-def _step_classes(image: Tensor, dim: int, backwards: bool, step: float) -> Tensor:
+class SemiGlobalMatching(nn.Module):
+    """`semi_global_matching` as a layer.
+
+    Args:
+        penalties: Penalties.
+    """
+
+    def __init__(self, penalties: Penalties) -> None:
+        super().__init__()
+        self.penalties = penalties
+
+    def forward(self, volume: Tensor, left: Tensor, right: Tensor, side: int) -> Tensor:
+        """See `semi_global_matching`."""
+        return semi_global_matching(volume, left, right, side, self.penalties)
+
+
+def step_classes(image: Tensor, dim: int, backwards: bool, step: float) -> Tensor:
     """0 for a smaller step from the predecessor, 1 for one as large, 2 for a larger: (H, W)."""
     steps = image.diff(dim=dim).abs()
     outside = torch.full_like(image.narrow(dim, 0, 1), OUTSIDE)

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.nets.model import RGB, Preprocessing
-from mobilestereonet.nets.operations import correlation_1d
+from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     DecoderLevel,
@@ -74,6 +74,7 @@ class Corr1DStage(nn.Module):
         w, act = width, activation
         self.conv1 = conv(3, w, 7, 2, act)
         self.conv2 = conv(w, 2 * w, 5, 2, act)
+        self.correlate = Correlation1D(REACH)
         self.redirect = conv(2 * w, w, 1, 1, act)
         self.conv3 = nn.Sequential(
             conv(CORRELATION + w, 4 * w, kernel, 2, act), conv(4 * w, 4 * w, activation=act)
@@ -94,7 +95,7 @@ class Corr1DStage(nn.Module):
         """Left and right views (B, 3, H, W), H and W multiples of 64."""
         half = self.conv1(left), self.conv1(right)
         quarter = self.conv2(half[0]), self.conv2(half[1])
-        correlation = correlation_1d(*quarter, REACH)
+        correlation = self.correlate(*quarter)
         conv3 = self.conv3(torch.cat((correlation, self.redirect(quarter[0])), dim=1))
         conv4 = self.conv4(conv3)
         conv5 = self.conv5(conv4)
@@ -212,6 +213,7 @@ class DispNetC(RegressionModel):
         self.conv1 = conv(3, w, 7, 2)
         self.conv2 = conv(w, 2 * w, 5, 2)
         self.conv3 = conv(2 * w, 4 * w, 5, 2)
+        self.correlate = Correlation1D(REACH)
         self.redirect = conv(4 * w, w // 2, 1)
         self.conv3_1 = conv(w // 2 + CORRELATION, 4 * w)
         self.conv4 = down(4 * w, 8 * w)
@@ -231,7 +233,7 @@ class DispNetC(RegressionModel):
         conv2 = self.conv2(self.conv1(left))
         left_features = self.conv3(conv2)
         right_features = self.conv3(self.conv2(self.conv1(right)))
-        correlation = F.relu(correlation_1d(left_features, right_features, REACH))
+        correlation = F.relu(self.correlate(left_features, right_features))
         conv3 = self.conv3_1(torch.cat((self.redirect(left_features), correlation), dim=1))
         conv4 = self.conv4(conv3)
         conv5 = self.conv5(conv4)

@@ -66,6 +66,22 @@ class Bias(nn.Module):
         return x + self.bias[:, None, None]
 
 
+class CostSignatures(nn.Module):
+    """`cost_signatures` as a layer.
+
+    Args:
+        planes: Number of disparities D, in pixels of the views.
+    """
+
+    def __init__(self, planes: int) -> None:
+        super().__init__()
+        self.planes = planes
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Views (B, 3, H, W), RGB in 0..1 -> (B, 3 D, H, W)."""
+        return cost_signatures(left, right, self.planes)
+
+
 class UNet(nn.Module):
     """U-Net (Sec. 3.2) that learns its upsampling: a 1x1 convolution, depth to space."""
 
@@ -111,6 +127,7 @@ class FastDSCS(StereoModel):
 
     def __init__(self, config: FastDSCSConfig) -> None:
         super().__init__(config)
+        self.signatures = CostSignatures(config.max_disparity // 2)
         channels = (3 * config.max_disparity // 2, 192, 96, 48, 32)
         self.encode = nn.Sequential(*(_conv_norm(i, o, 1) for i, o in pairwise(channels)))
         self.combine = nn.Sequential(*(_conv_norm(i, 32, 3) for i in (3 + 32, 32, 32)))
@@ -127,7 +144,7 @@ class FastDSCS(StereoModel):
             for view in (left, right)
         )
         colour = 2 * left - 1
-        x = self.encode(cost_signatures(left, right, self.max_disparity // 2))
+        x = self.encode(self.signatures(left, right))
         x = self.combine(torch.cat((colour, x), dim=1))
         disparity = self._regress(torch.cat((colour, x), dim=1))
         return Prediction(enlarge(disparity)[:, odd_rows:, odd_columns:])

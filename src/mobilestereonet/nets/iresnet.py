@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.dispnet import BGRModel, Corr1DStage, Stage
 from mobilestereonet.nets.model import RGB
-from mobilestereonet.nets.operations import correlation_1d
+from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
     DecoderLevel,
@@ -129,6 +129,7 @@ class IResNet(BGRModel):
         self.project_right = conv(w, w // 2, 1)
         self.full = DecoderLevel(w // 2, w // 2, w // 2)
         self.compress = conv(w, w // 4)
+        self.correlate = Correlation1D(FINE_REACH)
         self.refinement = Refinement(w)
         # The initial disparity; 1/4, 1/2 and all of the resolution in each refinement.
         self.head_weights = (1.0, *(0.2, 0.2, 1.0) * config.iterations)
@@ -146,7 +147,7 @@ class IResNet(BGRModel):
             )
         )
         left_fine, right_fine = map(self.compress, stage.half)
-        correlation = correlation_1d(left_fine, right_fine, FINE_REACH)
+        correlation = self.correlate(left_fine, right_fine)
         _, disparity = self.full(stage.features, stage.predictions[-1], left_features)
         predictions = [disparity]
         for _ in range(self.config.iterations):
@@ -190,6 +191,7 @@ class ReversingIResNet(RegressionModel):
         self.project = conv(w, w // 2, 1, activation=relu)
         self.full = DecoderLevel(w // 2, w // 2, w // 2, activation=relu, fusion_activation=relu)
         self.compress = conv(w, w // 4, activation=relu)
+        self.correlate = Correlation1D(FINE_REACH)
         self.refinement = Refinement(w, relu)
         initialise(self)
 
@@ -202,7 +204,7 @@ class ReversingIResNet(RegressionModel):
             for features in zip(stage.half, stage.quarter, strict=True)
         )
         left_fine, right_fine = map(self.compress, stage.half)
-        correlation = correlation_1d(left_fine, right_fine, FINE_REACH)
+        correlation = self.correlate(left_fine, right_fine)
         _, initial = self.full(stage.features, stage.predictions[-1], left_features)
         error = (remap(right_features, along_rows(-initial)) - left_features).abs()
         predictions = [initial, *self.refinement(left_features, error, initial, correlation)]

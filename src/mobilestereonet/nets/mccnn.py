@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.cross_based import (
     Penalties,
+    SemiGlobalMatching,
     aggregate,
     cross_arms,
-    semi_global_matching,
 )
 from mobilestereonet.nets.disparity_refinement import (
     bilateral,
@@ -167,6 +167,7 @@ class MCCNN(StereoModel):
         self.convs = nn.ModuleList(
             nn.Conv2d(inputs, outputs, 3, padding=1) for inputs, outputs in pairwise(sizes)
         )
+        self.semi_global = SemiGlobalMatching(config.penalties)
         sizes = [2 * config.width, *[config.hidden_width] * config.hidden, 1]
         self.compare = nn.ModuleList(
             nn.Linear(inputs, outputs) for inputs, outputs in pairwise(sizes) if config.hidden
@@ -266,7 +267,7 @@ class MCCNN(StereoModel):
         )
         for _ in range(config.rounds_before):
             volume = aggregate(volume, arms, partner, side)
-        volume = semi_global_matching(volume, image, other, side, config.penalties)
+        volume = self.semi_global(volume, image, other, side)
         for _ in range(config.rounds_after):
             volume = aggregate(volume, arms, partner, side)
         return volume

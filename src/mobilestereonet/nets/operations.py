@@ -86,6 +86,22 @@ def correlation_1d(left: Tensor, right: Tensor, reach: int) -> Tensor:
     return torch.stack(products, dim=1)
 
 
+class Correlation1D(nn.Module):
+    """`correlation_1d` as a layer.
+
+    Args:
+        reach: Largest displacement to either side, in pixels of the features.
+    """
+
+    def __init__(self, reach: int) -> None:
+        super().__init__()
+        self.reach = reach
+
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Features (B, C, H, W) of both views -> (B, 2 reach + 1, H, W)."""
+        return correlation_1d(left, right, self.reach)
+
+
 def concatenate(left: Tensor, right: Tensor) -> Tensor:
     """Features (B, C, H, W) of both views, one after the other: (B, 2 C, H, W)."""
     return torch.cat((left, right), dim=1)
