@@ -9,7 +9,7 @@ import pytest
 
 EXTRAS = (
     *("lightning", "pytorch_lightning", "torchmetrics", "tensorboard", "kornia", "scipy"),
-    *("skimage", "PIL", "imageio", "matplotlib", "onnx", "onnxruntime", "openvino"),
+    *("skimage", "imageio", "matplotlib", "onnx", "onnxruntime", "openvino"),
     *("huggingface_hub", "av", "gradio", "ray", "rosbags", "rerun"),
 )
 """Modules that the base install does not bring."""

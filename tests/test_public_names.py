@@ -33,7 +33,7 @@ def test_heavy_packages_wait_for_their_use():
 
 def test_inference_and_evaluation_need_no_extra():
     extras = {"lightning", "torchmetrics", "kornia", "tensorboard", "skimage", "matplotlib"}
-    extras |= {"scipy", "onnx", "onnxruntime", "openvino", "huggingface_hub", "PIL"}
+    extras |= {"scipy", "onnx", "onnxruntime", "openvino", "huggingface_hub"}
     code = "\n".join(f"from mobilestereonet import {n}" for n in mobilestereonet.__all__)
     rooms = ("evaluation", "scenes", "export", "costs", "paper.tables", "paper.blocks", "streams")
     code += "".join(f"\nimport mobilestereonet.{room}" for room in rooms)

@@ -288,12 +288,69 @@ def test_read_disparity_vkitti2(tmp_path):
     np.testing.assert_array_equal(valid, [[True, True, True, False, False]])
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("ending", ["npy", "pfm", "tiff"])
+def test_the_sign_of_most_disparities_is_the_files(tmp_path, sign, ending):
+    path = tmp_path / f"d.{ending}"
+    values = sign * np.array([[1.5, np.nan, -1, 2, np.inf, 0]], np.float32)
+    if ending == "tiff":
+        assert cv2.imwrite(str(path), values)
+    else:
+        (write_npy if ending == "npy" else write_pfm)(path, values)
+    disparity, valid = read_disparity(path)
+    np.testing.assert_array_equal(disparity, [[1.5, 0, 0, 2, 0, 0]])
+    np.testing.assert_array_equal(valid, [[True, False, False, True, False, False]])
+
+
+def test_integers_of_an_array_need_their_scale(tmp_path):
+    path = tmp_path / "d.npy"
+    for dtype in (np.int16, np.uint16, np.int64):
+        np.save(path, np.array([[40, 0, 16]], dtype))  # OpenCV's matchers give 16 levels per px
+        np.testing.assert_array_equal(read_disparity(path, 16)[0], [[2.5, 0, 1]])
+        with pytest.raises(InputError, match=r"d.npy: .* need their scale .*: 256 as in"):
+            read_disparity(path)
+    np.save(path, np.array([[-40, 16, -16]], np.int16))
+    np.testing.assert_array_equal(read_disparity(path, 16)[0], [[2.5, 0, 1]])
+    with pytest.raises(InputError, match="must be positive"):
+        read_disparity(path, 0)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.array([["1.5", "2"]]),
+        np.array([[b"1", b"2"]]),
+        np.array([[True, False]]),
+        np.array([[1j, 2]]),
+        np.array([["2024-01-01"]], "datetime64[D]"),
+        np.zeros((1, 2), [("disparity", "f4")]),
+    ],
+)
+def test_arrays_of_other_things_than_numbers_are_refused(tmp_path, values):
+    np.save(tmp_path / "d.npy", values)
+    with pytest.raises(InputError, match=r"d.npy: disparity must be an array of numbers"):
+        read_disparity(tmp_path / "d.npy")
+
+
+def test_files_that_are_no_array(tmp_path):
+    path = tmp_path / "d.npy"
+    np.save(path, np.array([[None]]), allow_pickle=True)
+    with pytest.raises(InputError, match="not an array file"):
+        read_disparity(path)
+    with path.open("wb") as file:
+        np.savez(file, np.zeros((2, 2)))
+    with pytest.raises(InputError, match="several arrays"):
+        read_disparity(path)
+    for shape in ("(9999999999, 9999999)", "(1, 2", "-1"):
+        header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}".ljust(117) + "\n"
+        path.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode())
+        with pytest.raises(InputError, match="not an array file"):
+            read_disparity(path)
+
+
 def test_read_disparity_npy(tmp_path):
-    write_npy(tmp_path / "d.npy", np.array([[1.5, np.nan, -1]]))
-    disparity, valid = read_disparity(tmp_path / "d.npy")
-    np.testing.assert_array_equal(disparity, [[1.5, 0, 0]])
-    np.testing.assert_array_equal(valid, [[True, False, False]])
-    np.testing.assert_array_equal(np.load(tmp_path / "d.npy"), [[1.5, np.nan, -1]])
+    write_npy(tmp_path / "d.npy", np.array([[1.5, np.nan, 1]]))
+    np.testing.assert_array_equal(np.load(tmp_path / "d.npy"), [[1.5, np.nan, 1]])
     (tmp_path / "bad.npy").write_bytes(b"no array")
     with pytest.raises(InputError, match=r"bad\.npy"):
         read_disparity(tmp_path / "bad.npy")

@@ -109,6 +109,20 @@ def test_sceneflow_finds_every_subset(tmp_path, in_root):
     assert [frame.name for frame in driving.frames] == list(inners[2:])
 
 
+def test_what_a_mac_leaves_beside_the_files_is_not_a_view(tmp_path):
+    put_sceneflow(tmp_path, "", "TEST/C/0149/0015", 7)
+    for path in list(tmp_path.rglob("*.p*")):
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7" + bytes(100))
+    put_sceneflow(tmp_path, "", "TEST/C/.trash/0015", 7)
+    for options in ({"split": "test"}, {"left": "frames_finalpass/**/left/*.png"}):
+        name = "sceneflow" if "split" in options else "folder"
+        right = options.get("left", "").replace("left", "right")
+        found = open_data_set(name, tmp_path, **options, **({"right": right} if right else {}))
+        assert [frame.left.parts[-5:] for frame in found.frames] == [
+            ("TEST", "C", "0149", "left", "0015.png")
+        ]
+
+
 def test_sceneflow_options_and_counts(tmp_path):
     put_sceneflow(tmp_path, "Monkaa", "lonetree_x2/0000", 2)
     for options, count in (({}, 35454), ({"subset": "Monkaa"}, 8664)):

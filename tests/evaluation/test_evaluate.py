@@ -211,6 +211,14 @@ def test_empty_and_skipped_images_have_their_columns():
     assert [row["d1_all"] for row in evaluation.pair_rows()] == [0.0, None]
 
 
+def test_a_set_without_a_pixel_to_score_is_an_error():
+    unknown = _sample("a", 4, 6)
+    unknown.valid[:] = False
+    with pytest.raises(InputError, match="made up: none of its 2 pairs has a pixel with ground"):
+        _evaluate([unknown, unknown])
+    assert _evaluate([unknown, _sample("b", 4, 6)]).scores.masks["all"].empty == 1
+
+
 def test_bad_input():
     sample = _sample("a", 4, 6)
     with pytest.raises(InputError, match="made up has no sample"):

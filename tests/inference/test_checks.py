@@ -85,9 +85,8 @@ def test_range():
 def test_cameras_one_above_the_other():
     pair = [np.rot90(view).copy() for view in (scene(), scene(40))]
     findings = {finding.check: finding for finding in check_pair(*pair)}
-    assert findings["rectified"].level == "problem"
-    assert "turn both views by 90 degrees" in findings["rectified"].advice
-    assert not {"order", "range"} & set(findings)
+    assert findings["orientation"].level == "problem"
+    assert "turn both views by 90 degrees" in findings["orientation"].advice
 
 
 def test_two_scenes_cannot_be_told():

@@ -25,6 +25,16 @@ def test_folders_are_paired_by_name_and_10_comes_after_9(sequence):
         assert pair.calibration is None
 
 
+@pytest.mark.parametrize("sides", [("left",), ("right",), ("left", "right")])
+def test_hidden_files_are_no_views(sequence, sides):
+    for side in sides:
+        for name in ("._view_3.png", ".view_4.png", "._view_3.jpg"):
+            (sequence / side / name).write_bytes(b"\0\5\x16\7" + bytes(100))
+    for pattern in ("", "*.png"):
+        pairs = find_pairs(sequence / "left" / pattern, sequence / "right" / pattern)
+        assert [pair.name for pair in pairs] == [f"view_{index}" for index in range(11)]
+
+
 def test_patterns_are_paired_by_what_their_wildcards_stand_for(tmp_path, monkeypatch):
     for run in ("a", "b"):
         for index in (1, 2):

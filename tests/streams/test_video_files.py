@@ -1,5 +1,9 @@
 """Video files through PyAV."""
 
+import re
+import warnings
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from noise_pairs import make_pair
@@ -83,12 +87,101 @@ def test_two_files_stay_in_step_over_a_damaged_frame(tmp_path):
 
 
 def test_views_that_do_not_belong_together(tmp_path):
-    eight, seven = write(tmp_path / "8.mp4", joined(8)), write(tmp_path / "7.mp4", joined(7))
+    eight = write(tmp_path / "8.mp4", joined(8))
     small = write(tmp_path / "small.mp4", [picture[:, :64] for picture in joined(8)])
-    with pytest.raises(InputError, match=r"number of frames: .*8.mp4 has 8, .*7.mp4 has 7"):
-        open_videos([eight, seven])
     with pytest.raises(InputError, match=r"one size: .*8.mp4 has 320x48, .*small.mp4 has 64x48"):
         open_videos([eight, small])
+
+
+def write_at(path, pictures, stamps, degrees=0):
+    """Write pictures shown at some times, in ms, with a note that players turn them."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "18", "bf": "0"})
+        stream.height, stream.width, stream.pix_fmt = *pictures[0].shape[:2], "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        if degrees:
+            stream.set_display_rotation(degrees)
+        for picture, stamp in zip(pictures, stamps, strict=True):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            frame.pts, frame.time_base = stamp, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_pictures_are_turned_as_players_turn_them(tmp_path, degrees, write_capture):
+    shown = np.zeros((64, 128, 3), np.uint8)
+    shown[:32, :64], shown[32:, 64:] = (200, 20, 20), (20, 20, 200)
+    stored = np.rot90(shown, -degrees // 90)
+    path = write_at(tmp_path / "v.mp4", [stored] * 2, [0, 40], degrees)
+    video = VideoFile(path)
+    assert video.size == (128, 64)
+    for address in (str(path), f"file://{path}"):  # a file, and OpenCV's capture of it
+        for frame in open_stream(address).frames:
+            both = np.hstack([frame.pair.left_image, frame.pair.right_image])
+            assert np.abs(both.astype(int) - shown)[8:24, 8:56].max() < 30
+            assert np.abs(both.astype(int) - shown)[40:56, 72:120].max() < 30
+
+
+def moving(stamps, disparity):
+    """Views of a scene that moves down by 1 row per ms, at some times."""
+    left, right = make_pair(disparity)
+    return [[np.roll(view, stamp, axis=0) for stamp in stamps] for view in (left, right)]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected", "lost"),
+    [
+        ([0, 33, 67, 100], [0, 67, 133, 200], [0, 67], "2 of 4 .* 2 of 4"),  # two rates
+        ([0, 40, 80, 120], [0, 80, 120], [0, 80, 120], "1 of 4 .* 0 of 3"),  # one lost
+        ([40, 80, 120], [0, 40, 80, 120], [40, 80, 120], "0 of 3 .* 1 of 4"),  # the first one lost
+        ([0, 30, 100, 130], [2, 31, 97, 131], [0, 30, 100, 130], None),  # variable
+    ],
+)
+def test_two_files_are_paired_by_time(tmp_path, first, second, expected, lost):
+    paths = [
+        write_at(tmp_path / f"{side}.mkv", moving(stamps, 10)[side], stamps)
+        for side, stamps in enumerate((first, second))
+    ]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        stream = open_videos(paths)
+    told = [str(warning.message) for warning in caught]
+    assert len(told) == (lost is not None)
+    assert lost is None or re.search(lost, told[0])
+    frames = list(stream.frames)
+    assert stream.total == len(frames) == len(expected)
+    for frame, stamp in zip(frames, expected, strict=True):
+        views = [wanted[0] for wanted in moving([stamp], 10)]
+        errors = [
+            np.abs(found.astype(int) - view).mean()
+            for found, view in zip(
+                (frame.pair.left_image, frame.pair.right_image), views, strict=True
+            )
+        ]
+        assert max(errors) < 35, errors  # 50 and more if it is of another time
+
+
+def test_recordings_of_two_rates_that_opencv_opens(tmp_path):
+    paths = [
+        write_at(tmp_path / f"{side}.mp4", moving(stamps, 10)[side], stamps)
+        for side, stamps in enumerate(([0, 33, 67, 100], [0, 67, 133, 200]))
+    ]
+    with pytest.warns(UserWarning, match=r"2 frames of .*0.mp4 and 0 of .*1.mp4 have no partner"):
+        frames = list(open_stream(*(f"file://{path}" for path in paths)).frames)
+    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.067], abs=0.002)
+
+
+def test_videos_without_a_common_moment(tmp_path):
+    times = [0, 100, 200], [50, 150, 250]
+    pictures = make_pair(10)
+    left, right = (
+        write_at(tmp_path / f"{n}.mkv", [pictures[n]] * 3, [t + 400 * n for t in times[n]])
+        for n in (0, 1)
+    )
+    with pytest.raises(InputError, match=r"no two frames were taken within 0.050 s"):
+        open_videos([left, right])
 
 
 def test_what_is_no_video_is_an_error(tmp_path):

@@ -12,7 +12,8 @@ import torch
 
 from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
-from mobilestereonet.data.files import decode_image, read_pfm
+from mobilestereonet.data.files import read_pfm
+from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.inference import load_pair
 from mobilestereonet.web.answer import CLOUD, Geometry, answer
 from mobilestereonet.web.sessions import Sessions

@@ -36,6 +36,17 @@ def test_equals_the_authors_networks_at_every_stored_size(authors, dtype):
         assert largest_error(net, dtype, outputs[key], seed) < TOLERANCE[name, dtype], key
 
 
+@pytest.mark.parametrize("prefix", ["module._orig_mod.", "module.module.", "_orig_mod."])
+def test_checkpoints_with_other_prefixes_and_a_number_of_numpy(authors, tmp_path, prefix):
+    name, path = authors
+    state = {prefix + key: value for key, value in authors_state(name).items()}
+    torch.save({"model": state, "loss": np.float64(0.5)}, tmp_path / "other.ckpt")
+    other, expected = load_model(tmp_path / "other.ckpt"), load_model(path)
+    assert other.config == expected.config
+    for key, value in expected.state_dict().items():
+        assert value.equal(other.state_dict()[key]), key
+
+
 def test_checkpoint_without_wrapper_and_prefix(authors, tmp_path):
     name, path = authors
     torch.save(authors_state(name), tmp_path / "bare.pth")

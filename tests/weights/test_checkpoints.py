@@ -3,7 +3,10 @@
 import argparse
 import json
 import warnings
+from collections import defaultdict
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -34,6 +37,9 @@ def same(net, loaded):
         ("model", "module."),
         ("state_dict", "net."),
         ("model_state_dict", "module._orig_mod.net."),
+        ("state_dict", "module.module."),
+        ("network", "_orig_mod.module.model."),
+        ("weights of mine", "model.module."),
     ],
 )
 def test_a_plain_state_dict_tells_its_network(net, tmp_path, prefix, wrapper):
@@ -121,6 +127,19 @@ def test_weights_that_are_not_finite_are_refused(net, tmp_path):
             load_model(tmp_path / "own.pth")
 
 
+def test_values_that_no_training_gives_are_refused(net, tmp_path):
+    state, path = net.state_dict(), tmp_path / "own.pth"
+    variances = next(name for name in state if name.endswith("running_var"))
+    for change, message in (
+        ({name: torch.zeros_like(value) for name, value in state.items()}, "all its values are 0"),
+        ({variances: -state[variances]}, f"{variances} has variances below 0"),
+        ({"heads.0.score.weight": state["heads.0.score.weight"].to(torch.int8)}, "int8, quantised"),
+    ):
+        torch.save({**state, **change}, path)
+        with pytest.raises(InputError, match=rf"own.pth: .*{message}"):
+            load_model(path)
+
+
 class Attack:
     ran = False
 
@@ -130,15 +149,30 @@ class Attack:
 
 def test_no_code_of_a_file_runs(net, tmp_path):
     path = tmp_path / "own.pth"
-    for foreign, name in ((Attack(), "exec"), (argparse.Namespace(), "argparse.Names")):
-        torch.save({"state_dict": net.state_dict(), "args": foreign}, path)
-        with pytest.raises(InputError, match=rf"own.pth: .*it needs code \({name}") as caught:
+    beside = {"args": argparse.Namespace(lr=1), "attack": Attack(), "loss": np.float64(0.5)}
+    beside |= {"seen": {3, 4}, "folder": Path("runs"), "losses": defaultdict(list, a=[1.0])}
+    torch.save({**beside, "state_dict": net.state_dict()}, path)
+    assert same(net, load_model(path))
+    torch.save({**net.state_dict(), **beside}, path)  # also among the tensors
+    assert same(net, load_model(path))
+    torch.save(
+        {**beside, "state_dict": net.state_dict()}, path, _use_new_zipfile_serialization=False
+    )
+    assert same(net, load_model(path))
+    for whole in (net, Attack()):
+        torch.save(whole, path)
+        with pytest.raises(InputError, match=r"own.pth: .*save its state_dict\(\) alone") as caught:
             load_model(path)
         assert "\n" not in str(caught.value)
-    torch.save(net, path)
-    with pytest.raises(InputError, match=r"save its state_dict\(\) alone"):
-        load_model(path)
     assert not Attack.ran
+
+
+def test_records_beside_the_network_are_not_taken_for_it(net, tmp_path):
+    state = net.state_dict()
+    optimizer = {"state": {name: {"exp_avg": value} for name, value in state.items()}}
+    content = {"step": torch.tensor(3), "best": torch.tensor(0.1), "optimizer": optimizer}
+    torch.save({**content, "ema": state}, tmp_path / "own.pth")
+    assert same(net, load_model(tmp_path / "own.pth"))
 
 
 def test_other_content_is_no_state_dict(net, tmp_path):

@@ -10,7 +10,8 @@ from mobilestereonet.data.disparity_files import (
     read_disparity_vkitti2,
     write_disparity_png,
 )
-from mobilestereonet.data.files import read_image, read_pfm, write_npy, write_pfm, write_png
+from mobilestereonet.data.files import read_pfm, write_npy, write_pfm, write_png
+from mobilestereonet.data.image_files import read_image
 from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
 from mobilestereonet.data.sample import Calibration, StereoSample, collate
 from mobilestereonet.data.scanners import (

@@ -2,6 +2,8 @@
 
 How a format marks pixels without ground truth (0, infinity, NaN) ends here: every reader returns
 float32 disparities in pixels, 0 where unknown, and a mask that is True where known, both (H, W).
+So does its sign: releases and networks differ (a disparity is a flow to the left), so the sign that
+most of a file's pixels have is taken for its convention, and the result is positive.
 """
 
 from __future__ import annotations
@@ -12,19 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from mobilestereonet.data.files import (
-    decode_image,
-    read_bytes,
-    read_image,
-    read_pfm,
-    write_png,
-)
+from mobilestereonet.data.files import read_bytes, read_pfm, write_png
+from mobilestereonet.data.image_files import decode_image, read_image
 from mobilestereonet.data.images import Array, FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
 KITTI_SCALE = 256.0
 """Grey levels per pixel of disparity in the PNGs of KITTI and of most sets after it."""
+
+
+def _positive(disparity: Array) -> tuple[FloatMap, Mask]:
+    """Disparities of a file whose convention may be negative ones."""
+    known = disparity[np.isfinite(disparity)]
+    negative = np.count_nonzero(known < 0) > np.count_nonzero(known > 0)
+    return _masked(-disparity if negative else disparity)
 
 
 def _masked(disparity: Array) -> tuple[FloatMap, Mask]:
@@ -34,19 +38,27 @@ def _masked(disparity: Array) -> tuple[FloatMap, Mask]:
 
 def _grey_levels(path: str | Path, *allowed_bits: int) -> Array:
     levels = decode_image(path)
+    _check_grey(path, levels, *allowed_bits)
+    return levels
+
+
+def _check_grey(path: str | Path, levels: Array, *allowed_bits: int) -> None:
     if levels.ndim != 2 or levels.dtype not in [np.dtype(f"uint{bits}") for bits in allowed_bits]:
         depths = " or ".join(map(str, allowed_bits))
         raise InputError(
             f"{path}: disparity or depth must be a grey {depths}-bit image, "
             f"got {levels.dtype} of shape {levels.shape}"
         )
-    return levels
 
 
 def _disparity_of_levels(path: str | Path, levels: Array, scale: float) -> tuple[FloatMap, Mask]:
+    _check_scale(path, scale)
+    return _masked(levels / np.float32(scale))
+
+
+def _check_scale(path: str | Path, scale: float) -> None:
     if not 0 < scale < math.inf:
         raise InputError(f"{path}: its scale (levels per pixel) must be positive, got {scale}")
-    return _masked(levels / np.float32(scale))
 
 
 def read_disparity_png(
@@ -98,10 +110,7 @@ def write_disparity_png(
 
 
 def read_disparity_pfm(path: str | Path) -> tuple[FloatMap, Mask]:
-    """Read a PFM of disparities; unknown where infinite, NaN or 0.
-
-    Releases differ in sign. The sign that most of a file's pixels have is taken for its
-    convention, so the result is positive either way.
+    """Read a PFM of disparities, of either sign; unknown where infinite, NaN or 0.
 
     Args:
         path: The PFM file.
@@ -116,10 +125,43 @@ def read_disparity_pfm(path: str | Path) -> tuple[FloatMap, Mask]:
     disparity = read_pfm(path)
     if disparity.ndim != 2:
         raise InputError(f"{path}: disparity must be a grey PFM (Pf), this one has three channels")
-    known = disparity[np.isfinite(disparity)]
-    if np.count_nonzero(known < 0) > np.count_nonzero(known > 0):
-        disparity = -disparity
-    return _masked(disparity)
+    return _positive(disparity)
+
+
+def read_disparity_npy(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
+    """Read a NumPy array of disparities, of either sign; unknown where infinite, NaN or 0.
+
+    Args:
+        path: The ``.npy`` file.
+        scale: Levels per pixel of disparity, for integers, which need it.
+
+    Returns:
+        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no array of shape (H, W) of real numbers, or one of integers
+            comes without a scale.
+    """
+    content = read_bytes(path)
+    try:
+        values = np.load(BytesIO(content), allow_pickle=False)
+    except Exception as error:  # whatever a parser makes of any bytes
+        raise InputError(f"{path}: not an array file of NumPy: {error}") from None
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf":
+        kind = values.dtype if isinstance(values, np.ndarray) else "several arrays, as in .npz"
+        raise InputError(f"{path}: disparity must be an array of numbers, got {kind}")
+    if values.ndim != 2:
+        raise InputError(f"{path}: disparity must have shape (H, W), got {values.shape}")
+    if values.dtype.kind == "f":
+        return _positive(values)
+    if scale is None:
+        raise InputError(
+            f"{path}: disparities as {values.dtype} need their scale (levels per pixel): 256 as in "
+            "KITTI, 16 as OpenCV's matchers give them, 1 for whole pixels"
+        )
+    _check_scale(path, scale)
+    return _positive(values / np.float32(scale))
 
 
 def read_disparity_sintel(path: str | Path) -> tuple[FloatMap, Mask]:
@@ -173,9 +215,8 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
     """Read a PFM, NumPy or grey image file of disparities, by its ending.
 
     Args:
-        path: A ``.pfm``, a ``.npy`` (float, unknown where not finite or not above 0), or a grey
-            image.
-        scale: Grey levels per pixel of disparity, for images only. May be left out for 16-bit
+        path: A ``.pfm``, a ``.npy``, or a grey image; one of floating point (TIFF) holds pixels.
+        scale: Levels per pixel of disparity, for files of integers. May be left out for 16-bit
             images, where it is 256.
 
     Returns:
@@ -183,21 +224,18 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
 
     Raises:
         FileNotFoundError: If there is no such file.
-        InputError: If the file does not hold disparities, an 8-bit image comes without scale, or
-            the scale is not positive.
+        InputError: If the file does not hold disparities, an 8-bit image or an array of integers
+            comes without scale, or the scale is not positive.
     """
     path = Path(path)
     if path.suffix.lower() == ".pfm":
         return read_disparity_pfm(path)
     if path.suffix.lower() == ".npy":
-        try:
-            values = np.load(BytesIO(read_bytes(path)), allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise InputError(f"{path}: not an array file of NumPy: {error}") from error
-        if values.ndim != 2:
-            raise InputError(f"{path}: disparity must have shape (H, W), got {values.shape}")
-        return _masked(values)
-    levels = _grey_levels(path, 8, 16)
+        return read_disparity_npy(path, scale)
+    levels = decode_image(path)
+    if levels.dtype == np.float32 and levels.ndim == 2:
+        return _positive(levels)
+    _check_grey(path, levels, 8, 16)
     if scale is None and levels.dtype == np.uint8:
         raise InputError(f"{path}: an 8-bit disparity image needs its scale (levels per pixel)")
     return _disparity_of_levels(path, levels, KITTI_SCALE if scale is None else scale)

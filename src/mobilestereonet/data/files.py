@@ -1,8 +1,9 @@
-"""Image, PFM and NumPy files; writing is atomic."""
+"""PFM, PNG and NumPy files, and finding of files; writing is atomic."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from os import SEEK_END
 from pathlib import Path
@@ -42,50 +43,15 @@ def read_bytes(path: str | Path) -> bytes:
     return path.read_bytes()
 
 
-def decode_image(path: str | Path) -> Array:
-    """Read an image as OpenCV decodes it: (H, W) or (H, W, C), BGR, the file's own dtype.
+def visible(root: Path, pattern: str) -> Iterator[Path]:
+    """Paths below a folder that a glob finds, without hidden ones unless it asks for them.
 
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the file is no image, or a damaged one.
+    A Mac puts a file ``._0001.png`` beside each ``0001.png`` on disks of other systems.
     """
-    content = np.frombuffer(read_bytes(path), np.uint8)
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    if image is None:
-        raise InputError(
-            f"{path}: not an image that OpenCV can read ({content.size} bytes); "
-            "is it damaged, or in another format than its name says?"
-        )
-    return np.asarray(image)
-
-
-def read_image(path: str | Path) -> Array:
-    """Read an image of any format that OpenCV reads.
-
-    Grey images are repeated to three channels and an alpha channel is dropped. The orientation
-    that a camera may have noted in the file (EXIF) is ignored: a calibration holds for the pixels
-    as they are stored.
-
-    Args:
-        path: The image file.
-
-    Returns:
-        RGB image of shape (H, W, 3) with the file's own dtype: uint8, uint16 or float32.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the file is no image, a damaged one, or of another dtype.
-    """
-    image = decode_image(path)
-    if image.dtype not in (np.uint8, np.uint16, np.float32):
-        raise InputError(f"{path}: pixels are {image.dtype}, need uint8, uint16 or float32")
-    if image.ndim == 2:
-        image = image[..., None]
-    if image.shape[2] not in (1, 3, 4):
-        raise InputError(f"{path}: {image.shape[2]} channels, need 1, 3 or 4")
-    if image.shape[2] == 1:
-        return image.repeat(3, axis=2)
-    return np.ascontiguousarray(image[..., 2::-1])
+    hidden = any(part.startswith(".") for part in Path(pattern).parts)
+    for path in root.glob(pattern):
+        if hidden or not any(part.startswith(".") for part in path.relative_to(root).parts):
+            yield path
 
 
 def read_pfm(path: str | Path) -> npt.NDArray[np.float32]:

@@ -23,13 +23,32 @@ Mask = NDArray[np.bool_]
 """Map of one truth value per pixel, (H, W) bool."""
 
 
-def image_to_tensor(image: Array) -> Tensor:
+CAMERA_BITS = (8, 10, 12, 14)
+"""Bits per level of cameras whose pictures are often stored as 16 bits without being scaled."""
+
+
+def white_level(*views: Array) -> int:
+    """Level that stands for white in 16-bit views of one scene.
+
+    It is 65535, but where all levels lie below a quarter of that the largest one of a camera with
+    the bits that they need: 4095 for the 12 bits of many machine-vision cameras.
+
+    Args:
+        views: Images of one scene, of any type and shape.
+    """
+    deep = [view for view in views if view.dtype == np.uint16 and view.size]
+    peak = max((int(view.max()) for view in deep), default=65535)
+    return next((2**bits - 1 for bits in CAMERA_BITS if peak < 2**bits), 65535)
+
+
+def image_to_tensor(image: Array, white: int = 65535) -> Tensor:
     """Convert an image array to a float tensor in 0..1.
 
     Args:
         image: RGB or grey image of shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), the last
-            with an alpha channel that is dropped. uint8 is divided by 255 and uint16 by 65535;
+            with an alpha channel that is dropped. uint8 is divided by 255 and uint16 by ``white``;
             floating point values must lie in 0..1 already.
+        white: Level of white in uint16, see `white_level`.
 
     Returns:
         Float32 tensor of shape (3, H, W) in 0..1 with memory of its own.
@@ -45,7 +64,7 @@ def image_to_tensor(image: Array) -> Tensor:
     if planes.dtype == np.uint8:
         tensor = torch.from_numpy(planes).float().div_(255)
     elif planes.dtype == np.uint16:
-        tensor = torch.from_numpy(planes.astype(np.float32)).div_(65535)
+        tensor = torch.from_numpy(planes.astype(np.float32)).div_(white)
     elif np.issubdtype(planes.dtype, np.floating):
         low, high = planes.min(), planes.max()
         if not (low >= 0 and high <= 1):  # also False where a value is NaN

@@ -168,8 +168,8 @@ def evaluate(
         Scores and time.
 
     Raises:
-        InputError: If there is no sample, a sample has no ground truth, or ``match`` gives a
-            wrong shape or values that are not finite.
+        InputError: If there is no sample, a sample has no ground truth, none has a pixel to
+            score, or ``match`` gives a wrong shape or values that are not finite.
     """
     protocol = protocol or EvaluationProtocol()
     metrics = StereoMetrics(protocol.max_disparity, thresholds, protocol.min_share)
@@ -188,6 +188,11 @@ def evaluate(
     if not seconds:
         raise InputError(f"{data_name} has no sample to score")
     scores = metrics.compute()
+    if not scores.masks["all"].pixels and not scores.masks["all"].skipped:
+        raise InputError(
+            f"{data_name}: none of its {len(seconds)} pairs has a pixel with ground truth between "
+            f"0 and {protocol.max_disparity:g} px: is its scale right?"
+        )
     return Evaluation(model, data_name, protocol, scores, tuple(names), tuple(seconds))
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.disparity_files import write_disparity_png
-from mobilestereonet.data.files import decode_image, read_pfm, write_pfm
+from mobilestereonet.data.files import read_pfm, visible, write_pfm
+from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation.benchmarks import Submission
@@ -52,7 +53,7 @@ def write_submission(
             _write_scene(plan, folder, scene, prediction[0].numpy(), seconds)
         packed = Path(temporary, archive.name)
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file:
-            for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            for path in sorted(path for path in visible(folder, "**/*") if path.is_file()):
                 file.write(path, path.relative_to(folder).as_posix())
         check_submission(plan, packed, sizes)
         write_atomically(archive, lambda path: shutil.copyfile(packed, path))

@@ -1,6 +1,7 @@
 """Inference: from a pair of images to disparity, depth and points."""
 
-from mobilestereonet.inference.checks import Finding, check_pair
+from mobilestereonet.inference.checks import check_pair
+from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.inference.mesh import Mesh

@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+import math
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from mobilestereonet.data.images import Picture
-
-Level: TypeAlias = Literal["good", "warning", "problem", "unknown"]
-Points: TypeAlias = NDArray[np.float32]
+from mobilestereonet.inference.arrangement import (
+    AS_GIVEN,
+    Arrangement,
+    Turn,
+    find_turns,
+    is_swapped,
+)
+from mobilestereonet.inference.features import (
+    Points,
+    find_features,
+    match_features,
+    small_grey,
+)
+from mobilestereonet.inference.finding import Finding
 
 _MAX_FEATURE_PIXELS = 1_000_000
 """Size in pixels to which larger pictures are scaled down for the feature search."""
 
-_MIN_MATCHES = 30
-"""Feature matches below which the geometry is reported as unknown."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Result of one check of a pair: level, text and advice.
-
-    Attributes:
-        check: What was looked at, such as ``rectified``.
-        level: ``good``, ``warning`` (worse results), ``problem`` (no sensible result) or
-            ``unknown`` (it could not be told).
-        text: What was found, with the figure.
-        advice: What to do; empty where nothing is to be done.
-    """
-
-    check: str
-    level: Level
-    text: str
-    advice: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.check}: {self.text}" + (f"; {self.advice}" if self.advice else "")
+_FEATURES_OF_A_SCENE = 300
+"""Features of each view from which on a scene that both show would be recognised."""
 
 
 def quick_checks(left: Picture, right: Picture) -> list[Finding]:
@@ -69,59 +58,80 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
     findings = quick_checks(left, right)
     if findings[0].level == "problem":
         return findings
-    left_points, right_points = match_features(left, right)
-    if len(left_points) < _MIN_MATCHES:
-        text = f"only {len(left_points)} image features match, too few to tell"
-        advice = "make sure that both views show one scene, sharp and with texture"
-        return [*findings, Finding("geometry", "unknown", text, advice)]
-    disparity, vertical = (left_points - right_points).T
-    reach = float(np.percentile(np.abs(left_points - right_points), 95))
-    if reach < 0.5:
-        text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
-        advice = "take two pictures from places side by side, not one twice"
-        return [*findings, Finding("views", "problem", text, advice)]
-    if _above_each_other(disparity, vertical):
-        text = f"features move by {np.median(np.abs(vertical)):.0f} px vertically (median)"
-        advice = "the cameras stand one above the other: turn both views by 90 degrees"
-        return [*findings, Finding("rectified", "problem", text, advice)]
-    order = _order(disparity)
-    findings += [_rectified(vertical, left.shape[0]), order]
-    return findings if order.level == "problem" else [*findings, _range(disparity, max_disparity)]
+    scale = min(1.0, (_MAX_FEATURE_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
+    return [*findings, *look_at(left, right, scale, max_disparity).findings]
 
 
-def match_features(left: Picture, right: Picture) -> tuple[Points, Points]:
-    """Match SIFT features of both views, filtered by the epipolar geometry.
+@dataclass(frozen=True)
+class Look:
+    """What features say about a pair.
+
+    Attributes:
+        findings: On the views' direction, rows, order and range of disparities.
+        arrangement: What puts right that the views are turned, mirrored or swapped.
+        matches: Number of features that both views show.
+    """
+
+    findings: tuple[Finding, ...]
+    arrangement: Arrangement = AS_GIVEN
+    matches: int = 0
+
+
+def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = math.inf) -> Look:
+    """Match features of both views, and say what follows.
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
         right: Right view, the same size.
-
-    Returns:
-        Matching points in the left and the right view, (N, 2) each, x and y in px.
+        scale: Factor by which the pictures are made smaller for it.
+        max_disparity: Disparities that the network searches, in px.
     """
-    scale = min(1.0, (_MAX_FEATURE_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
-    sift = cv2.SIFT.create(nfeatures=3000)
-    features: list[tuple[Any, Any]] = []
-    for view in (left, right):
-        grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        features.append(sift.detectAndCompute(grey, None))
-    (left_keypoints, left_descriptors), (right_keypoints, right_descriptors) = features
-    none = np.zeros((0, 2), np.float32)
-    if min(len(left_keypoints), len(right_keypoints)) < 2:
-        return none, none
-    matches = cv2.BFMatcher().knnMatch(left_descriptors, right_descriptors, k=2)
-    # A match counts if the second best is clearly worse (Lowe's test).
-    best = [first for first, second in matches if first.distance < 0.75 * second.distance]
-    if len(best) < _MIN_MATCHES:
-        return none, none
-    left_points = np.array([left_keypoints[match.queryIdx].pt for match in best], np.float32)
-    right_points = np.array([right_keypoints[match.trainIdx].pt for match in best], np.float32)
-    _, inliers = cv2.findFundamentalMat(left_points, right_points, cv2.USAC_MAGSAC, 1.0, 0.999)
-    if inliers is None:
-        return none, none
-    kept = inliers.ravel().astype(bool)
-    return left_points[kept] / scale, right_points[kept] / scale
+    greys = [small_grey(view, scale) for view in (left, right)]
+    here, there = (find_features(grey) for grey in greys)
+    height, width = greys[0].shape
+    seen, mirrored = match_features(here, there), False
+    if not len(seen):
+        mirror = Turn(mirrored=True)
+        seen = match_features(here, find_features(mirror.picture(greys[1])))
+        mirrored = bool(len(seen))
+        seen = replace(seen, right=mirror.points(seen.right, (width, height)))
+    if not len(seen):
+        return Look((_nothing_in_common(len(here.points), len(there.points)),))
+    turns = find_turns(seen, mirrored, (width, height))
+    places = turns.points(seen, (width, height))
+    disparity, vertical = (places[0] - places[1]).T / scale
+    findings = [_turned(turns)] if turns.left or turns.right else []
+    reach = float(np.percentile(np.hypot(disparity, vertical), 95))
+    if reach < 0.5:
+        text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
+        advice = "take two pictures from places side by side, not one twice"
+        return Look((Finding("views", "problem", text, advice),), matches=len(seen))
+    order = _order(disparity)
+    swapped = is_swapped(disparity)
+    findings += [_rectified(vertical, height / scale, 1 / scale), order]
+    if swapped or order.level != "problem":
+        findings.append(_range(-disparity if swapped else disparity, max_disparity))
+    return Look(tuple(findings), replace(turns, swapped=swapped), len(seen))
+
+
+def _nothing_in_common(*features: int) -> Finding:
+    if min(features) < _FEATURES_OF_A_SCENE:
+        text = f"{features[0]} and {features[1]} image features, of which too few match to tell"
+        advice = "make sure that both views show one scene, sharp and with texture"
+        return Finding("geometry", "unknown", text, advice)
+    text = f"of {features[0]} and {features[1]} image features hardly any match: no common scene"
+    advice = "give two views of one scene, taken at one moment from places side by side"
+    return Finding("overlap", "problem", text, advice)
+
+
+def _turned(turns: Arrangement) -> Finding:
+    if turns.left == turns.right:
+        text = "features move up or down, not sideways"
+        advice = "the cameras stand one above the other: turn both views by 90 degrees"
+        return Finding("orientation", "problem", text, advice)
+    side, turn = ("left", turns.left) if turns.left else ("right", turns.right)
+    text = f"the {side} view is {turn.undone} against the other one"
+    return Finding("orientation", "problem", text, "turn it as the other one is")
 
 
 def _content(left: Picture, right: Picture) -> Finding:
@@ -154,19 +164,13 @@ def _mean_and_deviation(view: Picture) -> tuple[float, float]:
     return mean, float(max((deviations**2 + means**2).mean() - mean**2, 0)) ** 0.5
 
 
-def _above_each_other(disparity: Points, vertical: Points) -> bool:
-    """Whether the vertical disparity, not the horizontal one, depends on the depth."""
-    differ = float(np.median(np.abs(vertical - np.median(vertical)))) > 0.5
-    horizontal = float(np.percentile(np.abs(disparity), 95))
-    return differ and float(np.median(np.abs(vertical))) > 4 * horizontal
-
-
-def _rectified(vertical: Points, height: int) -> Finding:
+def _rectified(vertical: Points, height: float, pixel: float) -> Finding:
+    """How far rows are apart; ``pixel``: size of one in which features were found."""
     offset = float(np.median(vertical))
     size = float(np.median(np.abs(vertical)))
     text = f"matching features are {size:.1f} px apart vertically (median)"
     # What counts is how much of a feature is left in its row: larger pictures have larger features.
-    tolerance = max(0.75, height / 2000)
+    tolerance = max(0.75 * pixel, height / 2000)
     if size <= tolerance:
         return Finding("rectified", "good", text)
     if float(np.median(np.abs(vertical - offset))) <= 0.5:
@@ -179,13 +183,13 @@ def _rectified(vertical: Points, height: int) -> Finding:
 
 
 def _order(disparity: Points) -> Finding:
-    negative, positive = float(np.mean(disparity < -1)), float(np.mean(disparity > 1))
+    negative = float(np.mean(disparity < -1))
     shift = -float(np.percentile(disparity, 1))
     converge = (
         "the cameras converge, or the views are cropped differently: rectify them, or move the "
         f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
     )
-    if negative > max(0.3, 4 * positive):
+    if is_swapped(disparity):
         text = f"{negative:.0%} of the features move to the right, seen from the left view"
         advice = (
             "the views are swapped: exchange them; but if near things are then blue in the picture "
@@ -198,7 +202,7 @@ def _order(disparity: Points) -> Finding:
     return Finding("order", "good", "left is left and right is right")
 
 
-def _range(disparity: Points, max_disparity: int) -> Finding:
+def _range(disparity: Points, max_disparity: float) -> Finding:
     low, high = (float(value) for value in np.percentile(disparity, (1, 99)))
     text = f"the features' disparities go from {low:.0f} to {high:.0f} px"
     if high > max_disparity - 1:

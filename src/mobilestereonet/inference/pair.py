@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL.Image import Image as PILImage
 from torch import Tensor
 
-from mobilestereonet.data.files import read_image
-from mobilestereonet.data.images import Picture, image_to_tensor, to_picture
+from mobilestereonet.data.image_files import read_frames, read_image_file, upright
+from mobilestereonet.data.images import Picture, image_to_tensor, to_picture, white_level
 from mobilestereonet.errors import InputError
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as PILImage
+from mobilestereonet.inference.finding import Finding
 
 ImageLike: TypeAlias = "str | Path | NDArray[Any] | Tensor | PILImage"
 """One image of a pair: a file, an array, a tensor or a PIL image; `load_pair` says which ones."""
@@ -33,12 +31,16 @@ class StereoPair:
         right: Right view, likewise.
         left_image: Left view for pictures, (H, W, 3) uint8 RGB.
         right_image: Right view, likewise.
+        findings: What was put right while the views were read.
+        joined: Whether both views came in one picture, which was split into halves side by side.
     """
 
     left: Tensor
     right: Tensor
     left_image: Picture
     right_image: Picture
+    findings: tuple[Finding, ...] = ()
+    joined: bool = False
 
     @property
     def height(self) -> int:
@@ -51,38 +53,63 @@ class StereoPair:
         return self.left.shape[-1]
 
 
-def load_pair(left: ImageLike, right: ImageLike) -> StereoPair:
+def load_pair(left: ImageLike, right: ImageLike | None = None) -> StereoPair:
     """Read and check a pair.
 
     Args:
         left: Left view, one of: the path of an image; an array (H, W) or (H, W, 1|3|4) in RGB
             order; a tensor (1|3|4, H, W), also with a batch dimension of 1; a PIL image of any
-            mode that has a colour or grey meaning. uint8 is divided by 255 and uint16 by 65535;
-            floating point must lie in 0..1. An alpha channel is dropped.
-        right: Right view, likewise.
+            mode that has a colour or grey meaning. uint8 is divided by 255 and uint16 by 65535,
+            or by what `white_level` finds for both views; floating point must lie in 0..1. An
+            alpha channel is dropped. Files and PIL images are turned as their EXIF asks.
+        right: Right view, likewise. Without it ``left`` has both views: an MPO, or one picture
+            with both side by side.
 
     Returns:
-        The pair.
+        The pair; its findings say what was put right.
 
     Raises:
         FileNotFoundError: If a file does not exist.
         InputError: If a view is no image, has another shape or type, is smaller than 2 x 2, has
             values that are NaN or out of range, or if the sizes differ.
     """
+    if right is None:
+        return _load_joined(left)
     names = [
         str(view) if isinstance(view, str | Path) else f"{side} view"
         for view, side in ((left, "left"), (right, "right"))
     ]
-    (left, left_image), (right, right_image) = (
-        _load(view, name) for view, name in zip((left, right), names, strict=True)
-    )
+    views = [_read(view, name) for view, name in zip((left, right), names, strict=True)]
+    white = _white_level(views)
+    (left, left_image), (right, right_image) = (_convert(view, white) for view in views)
     if left.shape != right.shape:
         sizes = [f"{view.shape[-1]}x{view.shape[-2]}" for view in (left, right)]
         raise InputError(
             f"the two views must have one size (width x height): {names[0]} has {sizes[0]}, "
             f"{names[1]} has {sizes[1]}"
         )
-    return StereoPair(left, right, left_image, right_image)
+    return StereoPair(left, right, left_image, right_image, tuple(_put_right(views, white)))
+
+
+def _load_joined(both: ImageLike) -> StereoPair:
+    """Read a pair from one file or picture."""
+    if isinstance(both, str | Path):
+        frames = read_frames(both)
+        if len(frames) > 1:
+            return load_pair(frames[0], frames[1])
+    view = _read(both, str(both) if isinstance(both, str | Path) else "the picture")
+    levels = view.levels
+    width = levels.shape[-1 if isinstance(levels, Tensor) else 1] if levels.ndim > 1 else 0
+    if width % 2 or not width:
+        raise InputError(
+            f"{view.name} is {width} px wide, and two views side by side need an even width: give "
+            "the right view, too, if this is the left one"
+        )
+    left, right = (
+        levels.chunk(2, -1) if isinstance(levels, Tensor) else np.array_split(levels, 2, axis=1)
+    )
+    pair = load_pair(left, right)
+    return replace(pair, findings=(*_put_right([view], 65535), *pair.findings), joined=True)
 
 
 def load_batch(pairs: Iterable[tuple[ImageLike, ImageLike] | StereoPair]) -> list[StereoPair]:
@@ -129,36 +156,93 @@ def check_tensors(left: Tensor, right: Tensor) -> None:
         )
 
 
-def _load(view: ImageLike, name: str) -> tuple[Tensor, Picture]:
-    """A view as (3, H, W) float32 and as (H, W, 3) uint8."""
-    image = read_image(view) if isinstance(view, str | Path) else None  # its errors name the file
+@dataclass(frozen=True)
+class _View:
+    """A view as it was given: its levels, what messages call it, and how it was turned."""
+
+    levels: Tensor | NDArray[Any]
+    name: str
+    turned: str = ""
+
+
+def _read(view: ImageLike, name: str) -> _View:
+    if isinstance(view, str | Path):
+        content = read_image_file(view)  # its errors name the file
+        return _View(content.pixels, name, content.turned)
     try:
         if isinstance(view, Tensor):
-            tensor, array = _from_tensor(view), None
-        else:
-            array = image if image is not None else _to_array(view)
-            tensor = image_to_tensor(array)
+            return _View(_one_view(view), name)
+        if isinstance(view, PILImage):
+            image, turned = upright(view)
+            return _View(_from_pil(image), name, turned)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+    if not hasattr(view, "__array__"):
+        raise InputError(
+            f"{name}: an image is a path, an array, a tensor or a PIL image, got "
+            f"{type(view).__name__}"
+        )
+    levels = np.asarray(view)
+    return _View(levels.astype(levels.dtype.newbyteorder("="), copy=False), name)
+
+
+def _white_level(views: Sequence[_View]) -> int:
+    levels = (view.levels for view in views)
+    return white_level(
+        *(
+            each.cpu().numpy() if isinstance(each, Tensor) else each
+            for each in levels
+            if str(each.dtype).endswith("uint16")
+        )
+    )
+
+
+def _put_right(views: Sequence[_View], white: int) -> list[Finding]:
+    """What `load_pair` has changed, for the user to know."""
+    findings = []
+    turned = [f"{view.name} is {view.turned}" for view in views if view.turned]
+    if turned:
+        text = f"{' and '.join(turned)}, as the file asks (EXIF)"
+        advice = "a calibration of the pixels as they are stored does not fit"
+        findings.append(Finding("orientation", "fixed", text, advice))
+    if white < 65535:
+        bits = white.bit_length()
+        text = f"the 16-bit views use {bits} bits: {white} is taken for white in both"
+        findings.append(Finding("levels", "fixed", text))
+    return findings
+
+
+def _convert(view: _View, white: int) -> tuple[Tensor, Picture]:
+    """A view as (3, H, W) float32 and as (H, W, 3) uint8."""
+    levels = view.levels
+    try:
+        tensor = (
+            _scale(levels, white) if isinstance(levels, Tensor) else image_to_tensor(levels, white)
+        )
+    except InputError as error:
+        raise InputError(f"{view.name}: {error}") from None
     if min(tensor.shape[-2:]) < 2:
         size = f"{tensor.shape[-1]}x{tensor.shape[-2]}"
-        raise InputError(f"{name}: an image needs at least 2x2 pixels, got {size}")
-    if array is None or array.dtype != np.uint8:
+        raise InputError(f"{view.name}: an image needs at least 2x2 pixels, got {size}")
+    if isinstance(levels, Tensor) or levels.dtype != np.uint8:
         return tensor, to_picture(tensor)
-    rgb = np.atleast_3d(array)[..., :3]
+    rgb = np.atleast_3d(levels)[..., :3]
     # The caller's array may change later: a copy.
     return tensor, np.array(np.broadcast_to(rgb, (*rgb.shape[:2], 3)), order="C")
 
 
-def _from_tensor(view: Tensor) -> Tensor:
+def _one_view(view: Tensor) -> Tensor:
     if view.ndim == 4 and len(view) == 1:
         view = view[0]
     if view.ndim != 3 or view.shape[0] not in (1, 3, 4) or not view.numel():
         many = ": several pairs go to StereoMatcher.batch or infer" if view.ndim == 4 else ""
         raise InputError(f"a tensor needs shape (3, H, W), got {tuple(view.shape)}{many}")
-    view = view.detach()[:3]
+    return view.detach()[:3]
+
+
+def _scale(view: Tensor, white: int) -> Tensor:
     if view.dtype in (torch.uint8, torch.uint16):
-        view = view.float() / (255 if view.dtype == torch.uint8 else 65535)
+        view = view.float() / (255 if view.dtype == torch.uint8 else white)
     elif view.is_floating_point():
         low, high = (float(value) for value in view.aminmax())
         if not (low >= 0 and high <= 1):  # also False where a value is NaN
@@ -169,18 +253,6 @@ def _from_tensor(view: Tensor) -> Tensor:
     else:
         raise InputError(f"a tensor needs uint8, uint16 or floating point, got {view.dtype}")
     return view.float().expand(3, -1, -1)
-
-
-def _to_array(view: Any) -> NDArray[Any]:
-    # Who has a PIL image has imported PIL; nobody else needs it.
-    pil = sys.modules.get("PIL.Image")
-    if pil is not None and isinstance(view, pil.Image):
-        return _from_pil(view)
-    if not hasattr(view, "__array__"):
-        raise InputError(
-            f"an image is a path, an array, a tensor or a PIL image, got {type(view).__name__}"
-        )
-    return np.asarray(view)
 
 
 # Premultiplied alpha: PIL converts it to grey or colour by way of plain alpha only.
@@ -202,4 +274,7 @@ def _from_pil(image: PILImage) -> NDArray[Any]:
         return levels.astype(np.uint16)
     if mode in _PLAIN_ALPHA:
         image = image.convert(_PLAIN_ALPHA[mode])
-    return np.asarray(image.convert("RGB"))
+    try:
+        return np.asarray(image.convert("RGB"))
+    except ValueError as error:  # LAB
+        raise InputError(f"a PIL image of mode {mode}: {error}; convert it to RGB") from None

@@ -17,7 +17,7 @@ from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.inference.checks import Finding
+from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mobilestereonet.data.files import visible
 from mobilestereonet.errors import InputError
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
@@ -83,7 +84,8 @@ def find_photographs(folder: Path) -> list[Path]:
         raise FileNotFoundError(
             f"textures: no folder {folder}; give a folder of images, with --textures DIR"
         )
-    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES]
+    files = sorted(visible(folder, "**/*"))
+    paths = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES]
     if not paths:
         raise _no_image(folder)
     return paths

@@ -66,8 +66,23 @@ def _size(capture: Any) -> tuple[int, int]:
     return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
 
+def _keep_in_step(captures: Sequence[Any], dropped: list[int]) -> list[int]:
+    """Skip pictures of the recording that is behind; gives the number of one that ended."""
+    fastest = max(capture.get(cv2.CAP_PROP_FPS) for capture in captures)
+    tolerance = 500 / fastest if fastest > 0 else float("inf")  # half an interval, in ms
+    while True:
+        moments = [capture.get(cv2.CAP_PROP_POS_MSEC) for capture in captures]
+        if max(moments) - min(moments) <= tolerance:
+            return []
+        late = moments.index(min(moments))
+        dropped[late] += 1
+        if not captures[late].grab():
+            return [late]
+
+
 def _frames(sources: Sequence[str], captures: Sequence[Any], live: bool) -> Generator[StereoFrame]:
     started = time.monotonic()
+    dropped = [0 for _ in captures]
     try:
         for index in count():
             # Both take their picture before one is decoded: they should show one moment.
@@ -76,11 +91,19 @@ def _frames(sources: Sequence[str], captures: Sequence[Any], live: bool) -> Gene
                 for source, capture in zip(sources, captures, strict=True)
                 if not capture.grab()
             ]
+            if not live and not ended:
+                ended = [sources[late] for late in _keep_in_step(captures, dropped)]
             if ended:
                 if live:
                     warnings.warn(
                         f"{' and '.join(ended)}: gave no more pictures after {index} frames; was "
                         "the camera unplugged or the connection lost?",
+                        stacklevel=2,
+                    )
+                if any(dropped):
+                    warnings.warn(
+                        f"{dropped[0]} frames of {sources[0]} and {dropped[1]} of {sources[1]} "
+                        "have no partner at their time: they were left out",
                         stacklevel=2,
                     )
                 return

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mobilestereonet.data.calibration import read_calibration
+from mobilestereonet.data.files import visible
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners import PairFolder
 from mobilestereonet.data.scanners.base import Frame
@@ -58,7 +59,7 @@ def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFi
     patterns = [_pattern(source) for source in (left, right)]
     frames = _PairFolders(*patterns).frames
     right_root, right_views = patterns[1]
-    alone = set(right_root.glob(right_views)) - {frame.right for frame in frames}
+    alone = set(visible(right_root, right_views)) - {frame.right for frame in frames}
     if alone:
         raise InputError(
             f"{len(frames)} left views, but {len(frames) + len(alone)} right ones: "
@@ -124,7 +125,7 @@ def _pattern(source: str | Path) -> tuple[Path, str]:
         if not _WILDCARD.search(pattern):
             raise FileNotFoundError(f"{source}: no such file, folder or pattern")
         return folder, pattern
-    endings = {file.suffix for file in path.iterdir() if file.suffix.lower() in _IMAGES}
+    endings = {file.suffix for file in visible(path, "*") if file.suffix.lower() in _IMAGES}
     if len(endings) != 1:
         found = f"images that end in {' and '.join(sorted(endings))}" if endings else "no image"
         raise InputError(f"{source}: {found}; give a pattern such as '{source}/*.png'")
@@ -132,7 +133,9 @@ def _pattern(source: str | Path) -> tuple[Path, str]:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [
+        (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
+    ]
 
 
 def read_pairs(pairs: Iterable[PairFiles], fps: float = 1.0) -> Generator[StereoFrame]:

@@ -7,8 +7,6 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
@@ -105,8 +103,7 @@ def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -
         problem = "the picture is damaged"
     else:
         try:
-            left, right = whole if len(whole) == 2 else np.array_split(whole[0], 2, axis=1)
-            pair = load_pair(left, right)
+            pair = load_pair(*whole)
         except InputError as error:  # the source changed its size on the way
             problem = str(error)
     return StereoFrame(index, f"{index:06d}", seconds, pair, problem)

@@ -6,20 +6,26 @@ import warnings
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from fractions import Fraction
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture
 from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.streams.pairing import pair_by_time, tolerance_of
 from mobilestereonet.streams.stream import StereoFrame, Stream, check_sizes, make_frame
 
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov")
 
 _CLOCK = 90_000
 """Ticks per second of written videos: usual frame rates divide it."""
+
+_MAX_START_DIFFERENCE_S = 0.5
+"""Difference of two videos' first time stamps up to which both are of one clock."""
 
 
 def _pyav() -> Any:
@@ -33,12 +39,12 @@ class VideoFile:
 
     Attributes:
         path: The file.
-        size: Width and height in px.
+        size: Width and height in px, as shown.
         stamps: Times at which its frames are shown, in ticks, in order.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Go through the file once, without decoding it.
+        """Go through the file once, decoding its first frame alone.
 
         Raises:
             FileNotFoundError: If there is no such file.
@@ -53,7 +59,6 @@ class VideoFile:
                 stream = next(iter(container.streams.video), None)
                 if stream is None:
                     raise InputError(f"{path}: there are no pictures in it, only sound or data")
-                self.size = stream.codec_context.width, stream.codec_context.height
                 self.tick = stream.time_base
                 stamps = [
                     packet.pts
@@ -61,6 +66,8 @@ class VideoFile:
                     if packet.size and not packet.is_discard
                 ]
                 told = float((stream.duration or 0) * self.tick)
+                width, height = stream.codec_context.width, stream.codec_context.height
+            self.size = (height, width) if self._turns() % 2 else (width, height)
         except self._av.error.FFmpegError as error:
             raise InputError(
                 f"{path}: not a video that can be read ({error.strerror}); is it damaged, or was "
@@ -76,6 +83,17 @@ class VideoFile:
                 f"{path}: its frames end at {lasts:.1f} s of {told:.1f} s: the rest cannot be read",
                 stacklevel=2,
             )
+
+    def _turns(self) -> int:
+        """Quarter turns of the first frame that can be decoded."""
+        with self._av.open(str(self.path)) as container:
+            for packet in container.demux(video=0):
+                try:
+                    for frame in packet.decode():
+                        return _quarter_turns(frame)
+                except self._av.error.FFmpegError:
+                    continue
+        return 0
 
     def seconds(self, stamp: int) -> float:
         """Time of a frame in s, from the first one on."""
@@ -96,37 +114,83 @@ class VideoFile:
                     while due and due[0] < frame.pts:
                         yield self.seconds(due.popleft()), None
                     if due:
-                        whole = not frame.is_corrupt
-                        picture = frame.to_ndarray(format="rgb24") if whole else None
+                        picture = None if frame.is_corrupt else _upright(frame)
                         yield self.seconds(due.popleft()), picture
         for stamp in due:
             yield self.seconds(stamp), None
 
 
+def _quarter_turns(frame: Any) -> int:
+    """Anticlockwise quarter turns after which a frame is shown, as its file asks."""
+    return int(round(frame.rotation / 90) % 4)
+
+
+def _upright(frame: Any) -> Picture:
+    """A frame as players show it, (H, W, 3) uint8 RGB."""
+    stored = frame.to_ndarray(format="rgb24")
+    return np.ascontiguousarray(np.rot90(stored, _quarter_turns(frame)))
+
+
 def open_videos(paths: Sequence[str | Path]) -> Stream:
     """Open a side-by-side video, or the videos of the left and the right camera.
+
+    Frames of two videos are paired by their time stamps: rates may differ, and frames be lost. A
+    warning says how many have no partner.
 
     Args:
         paths: One or two files.
 
     Raises:
         FileNotFoundError: If a file does not exist.
-        InputError: If one is no video; if two differ in size or number of frames; if one alone
-            has an odd width.
+        InputError: If one is no video; if two differ in size or have no moment in common; if one
+            alone has an odd width.
     """
     videos = [VideoFile(path) for path in paths]
     check_sizes([str(video.path) for video in videos], [video.size for video in videos])
-    counts = [len(video.stamps) for video in videos]
-    if len(set(counts)) > 1:
+    if len(videos) == 1:
+        return Stream(_frames(videos[0]), len(videos[0].stamps))
+    left, right = videos
+    started = [float(video.stamps[0] * video.tick) for video in videos]
+    late = started[1] - started[0]
+    # Recordings that were started apart have clocks of their own.
+    late = late if abs(late) < _MAX_START_DIFFERENCE_S else 0.0
+    times = [[video.seconds(stamp) for stamp in video.stamps] for video in videos]
+    times[1] = [seconds + late for seconds in times[1]]
+    tolerance = tolerance_of(*times)
+    firsts, seconds = (list(enumerate(own)) for own in times)
+    dropped: list[tuple[int, float]] = []
+    paired = pair_by_time(firsts, seconds, itemgetter(1), tolerance, dropped)
+    pairs = [(first, second) for (first, _), (second, _) in paired]
+    if not pairs:
         raise InputError(
-            f"the two videos must have one number of frames: {videos[0].path} has {counts[0]}, "
-            f"{videos[1].path} has {counts[1]}"
+            f"{left.path} and {right.path}: no two frames were taken within {tolerance:.3f} s of "
+            "each other: are they of one recording?"
         )
-    return Stream(_frames(videos), counts[0])
+    if dropped:
+        lost = [len(own) - len(pairs) for own in times]
+        warnings.warn(
+            f"{lost[0]} of {len(times[0])} frames of {left.path} and {lost[1]} of {len(times[1])} "
+            f"of {right.path} have no partner within {1000 * tolerance:.0f} ms: they are left out",
+            stacklevel=3,
+        )
+    return Stream(_paired_frames(left, right, pairs), len(pairs))
 
 
-def _frames(videos: Sequence[VideoFile]) -> Generator[StereoFrame]:
-    for index, moments in enumerate(zip(*videos, strict=True)):
+def _frames(video: VideoFile) -> Generator[StereoFrame]:
+    for index, (seconds, picture) in enumerate(video):
+        yield make_frame(index, seconds, [picture])
+
+
+def _paired_frames(
+    left: VideoFile, right: VideoFile, pairs: Sequence[tuple[int, int]]
+) -> Generator[StereoFrame]:
+    """Frames of two videos by their numbers, which increase."""
+    firsts, seconds = enumerate(left), enumerate(right)
+    for index, numbers in enumerate(pairs):
+        moments = [
+            next(moment for number, moment in frames if number == wanted)
+            for frames, wanted in zip((firsts, seconds), numbers, strict=True)
+        ]
         yield make_frame(index, moments[0][0], [picture for _, picture in moments])
 
 

@@ -69,18 +69,39 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
         state = net.state_of_config(net.config, state)
     if shapes(state) != shapes(own):
         raise InputError(f"{weights.source}: {_misfit(state, shapes(own), name, overrides)}")
-    # All at once: some thousand small checks would take longer than reading the file.
-    if not torch.cat([value.flatten().float() for value in state.values()]).isfinite().all():
-        key = next(key for key, value in state.items() if not value.isfinite().all())
-        raise InputError(
-            f"{weights.source}: {key} is not finite: the training diverged, or the file is "
-            "corrupted; take an earlier checkpoint"
-        )
+    _check_values(weights.source, state, own)
     counters = {key: value for key, value in own.items() if key.endswith(COUNTER)}
     net.load_state_dict(counters | state)
     if bare and not overrides:
         _warn_of_defaults(weights.source, net, values)
     return net
+
+
+def _check_values(source: str, state: dict[str, Tensor], own: dict[str, Tensor]) -> None:
+    """Refuse values that no training gives: maps made with them would be nonsense."""
+    integers = [
+        key
+        for key, value in state.items()
+        if key in own and own[key].is_floating_point() and not value.is_floating_point()
+    ]
+    if integers:
+        raise InputError(
+            f"{source}: {integers[0]} is {state[integers[0]].dtype}, quantised: save the weights "
+            "as floating point"
+        )
+    # All at once: some thousand small checks would take longer than reading the file.
+    values = torch.cat([value.flatten().float() for value in state.values()])
+    if not values.isfinite().all():
+        key = next(key for key, value in state.items() if not value.isfinite().all())
+        raise InputError(
+            f"{source}: {key} is not finite: the training diverged, or the file is corrupted; take "
+            "an earlier checkpoint"
+        )
+    if not values.any():
+        raise InputError(f"{source}: all its values are 0: take another checkpoint")
+    for key, value in state.items():
+        if key.endswith("running_var") and (value < 0).any():
+            raise InputError(f"{source}: {key} has variances below 0: the file is corrupted")
 
 
 def _warn_of_defaults(source: str, net: StereoModel, told: dict[str, Any]) -> None:

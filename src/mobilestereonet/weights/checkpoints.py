@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,12 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.text import read_json
 from mobilestereonet.weights.files import WeightsFile
 
-_WRAPPERS = ("state_dict", "model_state_dict", "model")
-"""Keys under which others put the state dict beside an optimizer's, an epoch and the like."""
-_PREFIXES = ("module.", "net.", "model.")
+_WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network", "module", "weights")
+"""Keys under which others put the state dict beside an optimizer's, an epoch and the like; what
+lies under another one is taken where none of these holds tensors."""
+_MAX_DEPTH = 4
+"""Wrappers inside one another, and prefixes before one another."""
+_PREFIXES = ("module.", "net.", "model.", "network.")
 """What DataParallel, our training module and others put before every name."""
 _COMPILED = "_orig_mod."
 """What `torch.compile` puts into names, wherever it was called."""
@@ -26,31 +30,30 @@ _FLAT_VALUES = ("max_disparity", "estimator", "coarse_pass")
 def read_checkpoint(path: Path) -> WeightsFile:
     """Read a state dict, bare or wrapped, or a checkpoint of a training run.
 
-    Nothing but tensors and plain data is read, so that no code of the file can run. A run's
-    checkpoint holds the moving average of its weights, as its ``weights.safetensors`` does, where
-    the recipe has one; the network's config is in the ``recipe.json`` beside it.
+    Nothing but tensors and plain data is read, so that no code of the file can run: what would
+    need any, such as the options of a training script, is left out. A run's checkpoint holds the
+    moving average of its weights, as its ``weights.safetensors`` does, where the recipe has one;
+    the network's config is in the ``recipe.json`` beside it.
 
     Raises:
-        InputError: If the file is cut off, needs code, or holds no state dict.
+        InputError: If the file is cut off, is a network with its code, or holds no state dict.
     """
-    try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # whatever an unpickler makes of any bytes
-        raise InputError(f"{path}: not a readable PyTorch checkpoint: {_reason(error)}") from error
-    of_run = isinstance(content, Mapping) and "pytorch-lightning_version" in content
-    state = content
-    for wrapper in _WRAPPERS:
-        if isinstance(state, Mapping) and isinstance(state.get(wrapper), Mapping):
-            state = state[wrapper]
-    if (
-        not isinstance(state, Mapping)
-        or not state
-        or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in state.items())
-    ):
+    content = _load(path)
+    if isinstance(content, _LeftOut):
         raise InputError(
-            f"{path}: holds no state dict: expected tensors by name, alone or under one of "
+            f"{path}: holds an object that needs code, which is not run: load it where that code "
+            "is, and save its state_dict() alone"
+        )
+    of_run = isinstance(content, Mapping) and "pytorch-lightning_version" in content
+    found = list(_state_dicts(content))
+    most = max(map(len, found), default=0)
+    if not most:
+        raise InputError(
+            f"{path}: holds no state dict: expected tensors by name, alone or under a key such as "
             f"{', '.join(_WRAPPERS)}"
         )
+    # The likeliest one that is no small record, such as an optimizer has for each parameter.
+    state = next(state for state in found if 2 * len(state) > most)
     state = {key.replace(_COMPILED, ""): value for key, value in state.items()}
     recipe = path.with_name("recipe.json")
     model, config = _read_recipe(recipe) if of_run and recipe.is_file() else (None, {})
@@ -68,7 +71,7 @@ def strip_prefixes(state: dict[str, Tensor], names: Iterable[str]) -> dict[str, 
     """
     expected = set(names)
     best, wrapped = state, [state]
-    for _ in range(len(_PREFIXES)):  # they may be nested
+    for _ in range(_MAX_DEPTH):  # they may be nested
         wrapped = [
             {key[len(prefix) :]: value for key, value in outer.items() if key.startswith(prefix)}
             for outer in wrapped
@@ -79,13 +82,51 @@ def strip_prefixes(state: dict[str, Tensor], names: Iterable[str]) -> dict[str, 
     return best
 
 
-def _reason(error: Exception) -> str:
-    """First line of an error, or what stands in the way of a file that needs code."""
-    text = str(error)
-    if "Unsupported global: GLOBAL " in text:
-        name = text.split("Unsupported global: GLOBAL ")[1].split()[0]
-        return f"it needs code ({name}), which is not run: save its state_dict() alone"
-    return text.split("\n")[0]
+class _LeftOut:
+    """What stands in a checkpoint's place of an object that needs code."""
+
+    def __new__(cls, *_: object, **__: object) -> _LeftOut:
+        """Take any arguments, and forget them."""
+        return super().__new__(cls)
+
+    def __init__(self, *_: object, **__: object) -> None:
+        pass
+
+    def __setstate__(self, _: object) -> None:
+        pass
+
+
+def _plain_dict(*_: object) -> dict[Any, Any]:
+    """What takes a defaultdict's place, whose factory may be any code."""
+    return {}
+
+
+def _load(path: Path) -> Any:
+    """Content of a file of `torch.save`, with `_LeftOut` for what PyTorch does not take unasked."""
+    left_out: set[str] = set()
+    while True:
+        # Python's own are told without their module, which has a name per version.
+        names = {f"{m}{n}" for n in left_out for m in ("", "builtins.", "__builtin__.")}
+        stand_ins: list[Any] = [(_LeftOut, name) for name in names]
+        stand_ins.append((_plain_dict, "collections.defaultdict"))
+        try:
+            with torch.serialization.safe_globals(stand_ins):
+                return torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:  # whatever an unpickler makes of any bytes
+            match = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
+            if match is None or match[1] in left_out:
+                reason = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).split("\n")[0]
+                raise InputError(f"{path}: not a readable PyTorch checkpoint: {reason}") from error
+            left_out.add(match[1])
+
+
+def _state_dicts(content: object, depth: int = _MAX_DEPTH) -> Iterator[dict[str, Tensor]]:
+    """Tensors by name in a checkpoint, the likeliest first; what lies beside them is left out."""
+    if not isinstance(content, Mapping) or depth == 0:
+        return
+    for key in (*_WRAPPERS, *(key for key in content if key not in _WRAPPERS)):
+        yield from _state_dicts(content.get(key), depth - 1)
+    yield {k: v for k, v in content.items() if isinstance(k, str) and isinstance(v, Tensor)}
 
 
 def _read_recipe(path: Path) -> tuple[str | None, dict[str, Any]]:

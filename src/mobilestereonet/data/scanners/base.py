@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from mobilestereonet.data.files import read_image
-from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
+from mobilestereonet.data.files import visible
+from mobilestereonet.data.image_files import read_image
+from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor, white_level
 from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.errors import InputError
 
@@ -99,7 +100,7 @@ class StereoDataSet(Dataset[StereoSample], ABC):
 
     def left_views(self) -> list[Path]:
         """Paths of the left views of the split, sorted."""
-        return sorted({path for pattern in self.patterns() for path in self.root.glob(pattern)})
+        return sorted({path for pattern in self.patterns() for path in visible(self.root, pattern)})
 
     def official_count(self) -> int | None:
         """Number of frames of the complete set; None if there is no official one."""
@@ -152,8 +153,8 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             InputError: If a file is damaged or the sizes within the sample differ.
         """
         frame = self.frames[index]
-        left = image_to_tensor(read_image(frame.left))
-        right = image_to_tensor(read_image(frame.right))
+        images = [read_image(path) for path in (frame.left, frame.right)]
+        left, right = (image_to_tensor(image, white_level(*images)) for image in images)
         maps: dict[str, Mask | FloatMap | None] = {}
         if frame.disparity is not None:
             disparity, valid = self.read_disparity(frame.disparity)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from mobilestereonet.data.disparity_files import read_disparity_png
-from mobilestereonet.data.files import decode_image
+from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
 from mobilestereonet.data.scanners.registry import register_data_set
