@@ -25,8 +25,9 @@ from torch.utils.data import DataLoader
 from mobilestereonet.scenes import ProceduralScenes
 from mobilestereonet.settings import parse_assignments
 from mobilestereonet.training.batches import StepRequests, TrainingPairs, Uses
+from mobilestereonet.training.named_recipes import get_recipe
 from mobilestereonet.training.pool import PairPool
-from mobilestereonet.training.recipe import Recipe, get_recipe, override
+from mobilestereonet.training.recipe import Recipe, override
 from training_step import our_steps, random_pairs
 
 

@@ -38,8 +38,8 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.memory import keep_freed_memory
 from mobilestereonet.nets import build_model, trained_pixels
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.named_recipes import get_recipe
 from mobilestereonet.training.pool import TrainingBatch
-from mobilestereonet.training.recipe import get_recipe
 
 VARIANTS = {
     "authors": "authors' formulation, float32",

@@ -10,6 +10,21 @@ class InputError(ValueError):
     """Bad input: names the value and the way out. The command line prints it and exits with 2."""
 
 
+def check_multiple(name: str, value: int, factor: int) -> None:
+    """Check that a value is a positive multiple.
+
+    Args:
+        name: What the value is, for the message.
+        value: The value.
+        factor: What it must be a multiple of.
+
+    Raises:
+        InputError: If it is none.
+    """
+    if value < factor or value % factor:
+        raise InputError(f"{name} must be a positive multiple of {factor}, got {value}")
+
+
 @contextmanager
 def needs_extra(extra: str, hint: str = "") -> Iterator[None]:
     """Context for the imports that an optional extra of this package brings.

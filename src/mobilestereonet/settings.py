@@ -245,14 +245,24 @@ class _Builder:
             key: The unknown name.
             own: Names of the part in which it was looked for.
         """
-        own = list(own)
-        near = difflib.get_close_matches(key, own, n=1, cutoff=0.75)
-        if not near:
-            last = [name.rpartition(".")[2] for name in self.known]
-            like = difflib.get_close_matches(key, last, n=1, cutoff=0.65)
-            near = [name for name, part in zip(self.known, last, strict=True) if part in like]
-        suggestion = f" (did you mean {' or '.join(near)}?)" if near else ""
-        return f"{suggestion}, only {', '.join(own)}"
+        return likeliest_name(key, list(own), self.known)
+
+
+def likeliest_name(key: str, own: Sequence[str], known: Sequence[str]) -> str:
+    """End of the message about an unknown name: what it may mean, and what there is.
+
+    Args:
+        key: The unknown name.
+        own: Names of the part in which it was looked for.
+        known: Dotted names of the whole config.
+    """
+    near = difflib.get_close_matches(key, own, n=1, cutoff=0.75)
+    if not near:
+        last = [name.rpartition(".")[2] for name in known]
+        like = difflib.get_close_matches(key, last, n=1, cutoff=0.65)
+        near = [name for name, part in zip(known, last, strict=True) if part in like]
+    suggestion = f" (did you mean {' or '.join(near)}?)" if near else ""
+    return f"{suggestion}, only {', '.join(own)}" if own else ": it has none"
 
 
 def _fields(kind: Any) -> dict[str, Field[Any]]:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import fields
 from typing import get_args
 
 import pytest
@@ -10,16 +11,19 @@ import pytest
 from mobilestereonet.cli import early
 from mobilestereonet.cli.early import check_registered, check_trained
 from mobilestereonet.data import camera_files, scanners
+from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.depth_files import DEPTH_FORMATS
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import BENCHMARKS
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference.geometry import POINT_FORMATS
-from mobilestereonet.nets import list_models
+from mobilestereonet.nets import list_models, model_config
 from mobilestereonet.paper import ablate
+from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.streams import maps, video_files
-from mobilestereonet.training import recipe
+from mobilestereonet.training import named_recipes
+from mobilestereonet.training.recipe import Recipe
 
 PROGRAM = """
 import contextlib, io, json, sys
@@ -44,14 +48,14 @@ for line in sys.stdin.read().splitlines():
 
 NETWORK = ("--model msnet4d", "--model absent.ckpt", "--model onnx:absent.onnx")
 NETWORK += ("--model baseline2d", "--model my_net.py:MyNet", "--weights absent.ckpt", "--set mean")
-NETWORK += ("--model sgbm --weights absent.ckpt", "--model my_net.py:")
+NETWORK += ("--model sgbm --weights absent.ckpt", "--model my_net.py:", "--set net.colour=red")
 ENGINE = ("--threads 0", "--device cuda:x")
 MATCHER = (*NETWORK, *ENGINE, "--runtime openvin", "--precision fp64")
 MATCHER += ("--model sgbm --precision bf16", "--model sgbm --runtime openvino")
 CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit cm")
 CALIBRATION += ("--calib-left absent.txt", "--focal 900 --calib left.png")
 TRAINING = ("--precision fp16", "--accelerator gpus", "--recipe procedurel", "--set lr")
-TRAINING += ("--recipe absent/recipe.json",)
+TRAINING += ("--recipe absent/recipe.json", "--set colour=red", "--set augment.colour=red")
 TRAINING += ("--root absent", "--textures absent", "--workers -1")
 PAIR = "left.png right.png"
 
@@ -117,6 +121,9 @@ MESSAGES = {
     f"predict {PAIR} -o out --depth depth.jpg": "depth is written as .png, .npy, .tif, .tiff",
     f"predict {PAIR} -o out --set mean": "'mean': write it as key=value",
     "predict absent.png right.png -o out": "absent.png: no such file",
+    f"predict {PAIR} -o out --set net.estimater=mean": "did you mean estimator?",
+    "train run --set crop_height=64": "(did you mean scenes.height or augment.height?)",
+    "train run --set scenes.heigth=64": "scenes has no value 'heigth' (did you mean height?), only",
     "train run --recipe procedurel": "--recipe procedurel: did you mean procedural? There",
     "train run --precision fp16": "--precision fp16: did you mean bf16? There are 32-true",
     "train run --max-time 3h": "--max-time 3h: write it as DD:HH:MM:SS",
@@ -160,7 +167,7 @@ def test_what_is_said_of_a_mistake(told, command):
 
 def test_the_names_are_those_of_the_rooms():
     assert set(early.ENGINES) == set(choose.ENGINES)
-    assert set(early.RECIPES) == set(recipe.RECIPES)
+    assert set(early.RECIPES) == set(named_recipes.RECIPES)
     assert set(early.FORMATS) == set(FORMATS)
     assert set(early.EXPORT_PRECISIONS) == {p for f in FORMATS.values() for p in f.precisions}
     assert set(early.BENCHMARKS) == set(BENCHMARKS)
@@ -176,6 +183,12 @@ def test_the_names_are_those_of_the_rooms():
     assert set(early.data_sets()) == set(scanners.data_sets())
     for name in list_models():
         check_registered(name)
+    configs = {"recipe": Recipe, "augment": AugmentConfig, "scenes": SceneConfig}
+    assert early.recipe_fields() == {
+        part: [field.name for field in fields(config)] for part, config in configs.items()
+    }
+    of_networks = {field.name for name in list_models() for field in fields(model_config(name))}
+    assert set(early.network_fields()) == of_networks
 
 
 def test_the_precisions_of_training_are_lightnings():

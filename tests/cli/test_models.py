@@ -52,9 +52,15 @@ def test_a_network_is_described(msnet, name):
 
 
 def test_a_network_without_weights_is_described(msnet):
-    code, out, _ = msnet("models", "baseline3d")
-    assert code == 0
-    assert "embedded weights: none" in out.splitlines()
+    for name, recipes in (
+        ("baseline3d", "paper-sceneflow, paper-kitti2015"),
+        ("gwcnet-gc", "gwcnet-sceneflow, gwcnet-kitti2015"),
+        ("crl", "none published"),
+    ):
+        code, out, _ = msnet("models", name)
+        assert code == 0
+        assert "embedded weights: none" in out.splitlines()
+        assert f"recipes: {recipes}" in out.splitlines()
 
 
 def test_unknown_names(msnet):

@@ -17,7 +17,8 @@ from mobilestereonet.cli.main import app, main
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import DEFAULT_MODEL
 from mobilestereonet.settings import parse_assignments
-from mobilestereonet.training.recipe import get_recipe, override
+from mobilestereonet.training.named_recipes import get_recipe
+from mobilestereonet.training.recipe import override
 
 EXTRAS = {"streams.md": ("av", "ray.data")}
 """What pages need that the base package does not bring."""

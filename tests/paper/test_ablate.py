@@ -14,7 +14,8 @@ from mobilestereonet.paper import ablate as module
 from mobilestereonet.paper.ablate import ablate, ablation_table, table_models
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.data import RunData
-from mobilestereonet.training.recipe import Recipe, get_recipe, override
+from mobilestereonet.training.named_recipes import get_recipe
+from mobilestereonet.training.recipe import Recipe, override
 from mobilestereonet.training.run import train
 from mobilestereonet.weights import load_model
 

@@ -5,12 +5,14 @@ import json
 import pytest
 import torch
 
+from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.named_recipes import default_recipe
 from mobilestereonet.training.objective import Objective
-from mobilestereonet.training.recipe import Recipe, default_recipe
+from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.weights import load_model
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -157,7 +159,25 @@ def test_targets_between_planes_need_scores_with_a_closed_form():
         recipe = Recipe(steps=1, cross_entropy=1.0, cross_entropy_target=target)
         Objective(recipe, build_model("psmnet"))
         with pytest.raises(InputError, match=f"cross_entropy_target={target} is for .*=planes"):
-            Objective(recipe, build_model("psmnet", align_corners=True))
+            Objective(recipe, build_model("gcnet"))
+
+
+def test_cross_entropies_need_half_pixel_centres():
+    net = build_model("psmnet", align_corners=True)
+    Objective(Recipe(model="psmnet", steps=1), net)
+    for values in ({"cross_entropy": 1.0}, {"volume_cross_entropy": 1.0}):
+        with pytest.raises(InputError, match=r"psmnet has net.align_corners: --set net.align_corn"):
+            Objective(Recipe(model="psmnet", steps=1, **values), net)
+
+
+def test_crops_that_a_network_does_not_take_are_refused():
+    net = build_model("psmnet", max_disparity=16)
+    for side, fitting in ((100, 256), (260, 272)):
+        recipe = Recipe(model="psmnet", steps=1, augment=AugmentConfig(height=512, width=side))
+        with pytest.raises(InputError, match=f"width is {side}: --set augment.width={fitting}$"):
+            Objective(recipe, net)
+    crop = default_recipe("ganet-11").augment
+    assert (crop.height, crop.width) == (288, 528)
 
 
 def test_a_loss_of_the_users_own(files):

@@ -1,22 +1,23 @@
 import json
 import tempfile
+from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets import list_models, model_info
+from mobilestereonet.nets.model import fitting_side
 from mobilestereonet.settings import differences
-from mobilestereonet.training.recipe import (
-    RECIPE_FILES,
-    RECIPES,
-    Recipe,
-    get_recipe,
-    override,
-    read_recipe,
-)
+from mobilestereonet.training.named_recipes import RECIPE_FILES, RECIPES, get_recipe, read_recipe
+from mobilestereonet.training.optimizers import OPTIMIZERS, make_optimizer
+from mobilestereonet.training.recipe import Recipe, override
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -128,6 +129,12 @@ def test_override():
         ({"ema": 1.0}, "ema must be in"),
         ({"cross_entropy_target": "line"}, "must be planes or disparity or surfaces, got 'line'"),
         ({"seed": -1}, "seed must be in"),
+        ({"optimizer": "lion"}, "optimizer must be adam or muon or rmsprop or sgd, got 'lion'"),
+        ({"optimizer_options.momentum": 0.9}, "muon has no option 'momentum': it has none"),
+        ({"optimizer": "adam", "optimizer_options.lr": 1}, "adam has no option 'lr', only betas"),
+        ({"optimizer": "sgd", "optimizer_options.momentum": "much"}, "momentum must be a number"),
+        ({"optimizer": "sgd", "optimizer_options.momentum": -1}, "optimizer_options: Invalid mom"),
+        ({"optimizer": "sgd", "optimizer_options.nesterov": True}, "Nesterov momentum requires"),
         ({"schedule": [[0.5, 1], [0.2, 1]]}, "shares that rise"),
         ({"schedule": [[0, 1], [1.5, 1]]}, "shares that rise"),
         ({"augment.height": -5}, "augment: height must be positive, got -5"),
@@ -186,6 +193,59 @@ def test_paper_schedule_on_kitti():
     # 400 epochs, divided by 10 after 200; 160 pairs in batches of 8 are 20 steps.
     lr = _lr_by_epoch(get_recipe("paper-kitti2015"), 20)
     assert lr == pytest.approx([1e-3] * 200 + [1e-4] * 200)
+
+
+def test_published_schedules():
+    for steps_per_epoch in (1, 13):
+        for name, expected in {
+            "gwcnet-sceneflow": [1e-3] * 10 + [5e-4] * 2 + [2.5e-4] * 2 + [1.25e-4] * 2,
+            "gwcnet-kitti2015": [1e-3] * 200 + [1e-4] * 100,
+            "psmnet-sceneflow": [1e-3] * 10,
+            "ganet-kitti2015": [1e-3] * 400 + [1e-4] * 400,
+            "mccnn-slow-kitti2015": [3e-3] * 11 + [3e-4] * 3,
+        }.items():
+            assert _lr_by_epoch(get_recipe(name), steps_per_epoch) == pytest.approx(expected)
+    for name, expected in {
+        "dispnet-c-sceneflow": {0: 1, 299_999: 1, 300_000: 0.5, 400_000: 0.25, 500_000: 0.125},
+        "fast-ds-cs-sceneflow": {0: 0.1, 4_999: 0.1, 5_000: 1, 349_999: 1},
+        "fast-ds-cs-kitti2015": {0: 1, 149_999: 1, 150_000: 0.1, 199_999: 0.1, 200_000: 0.01},
+    }.items():
+        recipe = get_recipe(name)
+        assert recipe.steps is not None
+        found = {step: recipe.lr_factor(step / recipe.steps) for step in expected}
+        assert found == pytest.approx(expected), name
+
+
+def test_published_recipes_are_those_that_their_networks_name():
+    page = (ROOT / "docs/training.md").read_text("utf-8")
+    for name in list_models():
+        assert set(model_info(name).recipes) <= RECIPES.keys()
+    for name, recipe in RECIPES.items():
+        info = model_info(recipe.model)
+        assert name in info.recipes or name.startswith("procedural")
+        assert f"| `{name}` " in page
+        crop = [side for side in (recipe.augment.height, recipe.augment.width) if side is not None]
+        assert [fitting_side(info.network, side) for side in crop] == crop
+        assert set(recipe.net) <= {part.name for part in fields(info.config)}
+
+
+def test_an_optimizer_has_its_options():
+    weights = [torch.nn.Parameter(torch.ones(3))]
+    for name, options in {
+        "adam": {"weight_decay": 0.25, "betas": [0.5, 0.75]},
+        "sgd": {"momentum": 0.5},
+        "rmsprop": {"alpha": 0.5},
+        "muon": {},
+    }.items():
+        recipe = override(RECIPES["procedural"], {"optimizer": name, "optimizer_options": options})
+        optimizer = make_optimizer(name, weights, recipe.lr, recipe.optimizer_options)
+        assert type(optimizer) is OPTIMIZERS[name]
+        (group, *_) = optimizer.param_groups
+        assert group["lr"] == recipe.lr
+        assert {key: group[key] for key in options} == {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in options.items()
+        }
 
 
 def test_our_schedule_warms_up_and_decays():

@@ -17,7 +17,8 @@ from mobilestereonet.nets import build_model
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.callbacks import AtomicCheckpoints, TimeLimit
 from mobilestereonet.training.data import RunData
-from mobilestereonet.training.recipe import Recipe, get_recipe, override, read_recipe
+from mobilestereonet.training.named_recipes import get_recipe, read_recipe
+from mobilestereonet.training.recipe import Recipe, override
 from mobilestereonet.training.run import train
 from mobilestereonet.weights import load_model, save_weights
 

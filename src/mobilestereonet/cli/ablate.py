@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import TABLES, check_network, one_of
-from mobilestereonet.cli.options import Recipe
+from mobilestereonet.cli.early import TABLES, check_network, one_of, recipe_name
+from mobilestereonet.cli.options import RECIPE_KINDS
 from mobilestereonet.cli.training_options import RecipeOptions, TrainerOptions
 
 
@@ -27,7 +27,7 @@ def ablate(
             help="Networks instead of a table's, such as msnet2d,msnet3d.",
         ),
     ] = None,
-    recipe: Recipe = "procedural",
+    recipe: Annotated[str, typer.Option(help=RECIPE_KINDS, callback=recipe_name)] = "procedural",
     steps: Annotated[
         int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
     ] = None,
@@ -47,12 +47,13 @@ def ablate(
 
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models
-    from mobilestereonet.training.recipe import get_recipe, override
+    from mobilestereonet.training.named_recipes import get_recipe
+    from mobilestereonet.training.recipe import override
 
     values = options.values
     if steps is not None:
         values |= {"steps": steps, "epochs": None, "duration": None}
-    chosen = override(get_recipe(str(recipe)), values)
+    chosen = override(get_recipe(recipe), values)
     names = list(dict.fromkeys(chosen_names or table_models(table)))
     rows = []
     for row in run(names, chosen, folder, **vars(trainer)):

@@ -25,6 +25,7 @@ def bench(
 ) -> None:
     """Time every installed engine on this machine, against PyTorch unaccelerated in fp32.
 
+    Engines that cannot run the network are named and left out.
     Says how to ask for the fastest one in each precision. Of sgbm or an ONNX file, its own time;
     with --levels that of each --quality.
     """
@@ -66,6 +67,7 @@ def bench(
             threads=threads,
             repeats=repeats,
             opening=lambda *engine: print("making ready:", *engine, file=sys.stderr),
+            refused=lambda *engine_and_why: print("left out:", *engine_and_why, file=sys.stderr),
         )
     table = Table("engine", "precision", title=f"{name}, {size[0]}x{size[1]}, {device}")
     for column in ("ms", "times faster", "mean difference, px"):

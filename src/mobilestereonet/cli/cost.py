@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mobilestereonet.cli.early import network_name
+from mobilestereonet.cli.early import check_network_values, network_name
 from mobilestereonet.cli.engine import NetworkValues, network_values
 from mobilestereonet.cli.options import AsJson
 from mobilestereonet.errors import InputError
@@ -41,6 +41,7 @@ def cost(
     as_json: AsJson = False,
 ) -> None:
     """Count MACs and parameters, exactly and as the paper counts."""
+    check_network_values(model, network_values(settings))
     if paper:
         if model or settings or (height, width) != _SIZE:
             raise InputError(

@@ -53,7 +53,7 @@ def preview(
     from mobilestereonet.data.files import write_png
     from mobilestereonet.plots import contact_sheet
     from mobilestereonet.scenes import ProceduralScenes
-    from mobilestereonet.training.recipe import get_recipe
+    from mobilestereonet.training.named_recipes import get_recipe
 
     if root is None or name == "procedural":
         scenes_of_the_recipe = get_recipe("procedural").scenes

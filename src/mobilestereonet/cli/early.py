@@ -6,6 +6,7 @@ those of rooms that import PyTorch; tests compare them.
 
 from __future__ import annotations
 
+import ast
 import difflib
 import re
 from collections.abc import Callable, Collection, Sequence
@@ -17,7 +18,7 @@ import typer
 
 from mobilestereonet.atomic import note_inputs
 from mobilestereonet.errors import InputError
-from mobilestereonet.settings import parse_assignments
+from mobilestereonet.settings import likeliest_name, parse_assignments
 
 ENGINES = ("torch", "onnxruntime", "openvino")
 """Engines that run a network."""
@@ -69,6 +70,13 @@ VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
 BAG_ENDINGS = (".mcap", ".bag")
 
 _WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
+
+_RECIPE_PARTS = {
+    "recipe": ("training/recipe.py", "Recipe"),
+    "augment": ("data/augment.py", "AugmentConfig"),
+    "scenes": ("scenes/config.py", "SceneConfig"),
+}
+"""Parts of a recipe, and where their dataclasses are."""
 
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
@@ -168,6 +176,59 @@ def _check_assignment(option: str, text: str) -> None:
     parse_assignments([text])
 
 
+def _check_recipe_value(option: str, text: str) -> None:
+    (name,) = parse_assignments([text])
+    first, _, rest = name.partition(".")
+    parts = recipe_fields()
+    part, key = (first, rest.partition(".")[0]) if first in parts and rest else ("recipe", first)
+    if key not in parts[part]:
+        below = [f"{part}.{key}" for part in ("scenes", "augment") for key in parts[part]]
+        known = [*parts["recipe"], *below, *(f"net.{key}" for key in network_fields())]
+        raise InputError(f"{part} has no value {key!r}{likeliest_name(key, parts[part], known)}")
+
+
+def check_network_values(model: str | None, names: Collection[str]) -> None:
+    """Check names of values of a network's config, as far as it can be without PyTorch.
+
+    Args:
+        model: The network, or its weights; classes of the user's own are not looked into.
+        names: The names.
+
+    Raises:
+        InputError: If a name is one of no network.
+    """
+    if model is not None and ".py:" in model:
+        return
+    for name in names:
+        if name not in (known := network_fields()):
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else "`msnet models NAME` shows those of one"
+            raise InputError(f"networks have no value {name!r}: {hint}")
+
+
+def recipe_fields() -> dict[str, list[str]]:
+    """Fields of a recipe and of its parts."""
+    return {part: _fields(*where) for part, where in _RECIPE_PARTS.items()}
+
+
+def network_fields() -> list[str]:
+    """Fields of the configs of all networks."""
+    files = sorted((_PACKAGE / "nets").glob("*.py"))
+    return sorted({name for file in files for name in _fields(file, r"\w*Config")})
+
+
+def _fields(file: str | Path, pattern: str) -> list[str]:
+    """Fields of the dataclasses of a source file whose names match."""
+    return [
+        line.target.id
+        for node in ast.parse((_PACKAGE / file).read_text("utf-8")).body
+        if isinstance(node, ast.ClassDef) and re.fullmatch(pattern, node.name)
+        for line in node.body
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
+        if not ast.unparse(line.annotation).startswith("ClassVar")
+    ]
+
+
 def _check_recipe(option: str, recipe: str) -> None:
     if recipe.endswith(".json"):
         _check_file(option, Path(recipe))
@@ -181,6 +242,7 @@ weights_file = each(_check_weights)
 network_name = each(check_network)
 recipe_name = each(_check_recipe)
 assignment = each(_check_assignment)
+recipe_value = each(_check_recipe_value)
 device_name = matches(_DEVICE, "auto, cpu, cuda or cuda:1")
 
 

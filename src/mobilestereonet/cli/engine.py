@@ -12,6 +12,7 @@ from mobilestereonet.cli.early import (
     ENGINES,
     PRECISIONS,
     QUALITIES,
+    check_network_values,
     check_trained,
     device_name,
     each,
@@ -131,6 +132,8 @@ class NetworkOptions:
 
     def __post_init__(self) -> None:
         check_trained(self.model, self.weights)
+        if not self.is_standalone:
+            check_network_values(self.model, network_values(self.settings))
         if self.is_standalone and self.weights is not None:
             raise InputError(
                 f"{self.model} has no weights to read from {self.weights}: leave them out"

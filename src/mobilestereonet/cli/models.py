@@ -87,6 +87,7 @@ def _describe(name: str, info: ModelInfo) -> None:
         "public checkpoints": info.checkpoints,
         "trained on": info.trained_on,
         "their licence": info.licence,
+        "recipes": ", ".join(info.recipes) or "none published",
         "embedded weights": ", ".join(embedded_versions(info.name)) or "none",
     }
     print("\n".join(f"{key}: {value}" for key, value in facts.items() if value))

@@ -8,11 +8,15 @@ from typing import Annotated, TypeAlias
 import typer
 
 from mobilestereonet.cli.early import (
-    RECIPES,
-    assignment,
     existing_file,
     existing_folder,
     recipe_name,
+    recipe_value,
+)
+
+RECIPE_KINDS = (
+    "procedural, procedural-plain, a published one such as paper-sceneflow (`msnet models NAME` "
+    "shows a network's), or another run's recipe.json."
 )
 
 LeftView: TypeAlias = Annotated[
@@ -36,8 +40,8 @@ Textures: TypeAlias = Annotated[
 Recipe: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help=f"{', '.join(RECIPES)}, or another run's recipe.json. Default: procedural, or "
-        "procedural-plain for a network that lacks what that needs.",
+        help=f"{RECIPE_KINDS} Default: procedural, or procedural-plain for a network that lacks "
+        "what that needs.",
         callback=recipe_name,
     ),
 ]
@@ -47,6 +51,6 @@ RecipeValues: TypeAlias = Annotated[
         "--set",
         help="Override a value of the recipe, such as lr=5e-4, augment.noise=0.02, scenes.seed=7 "
         "or net.cost_volume=correlation. Repeat for more.",
-        callback=assignment,
+        callback=recipe_value,
     ),
 ]

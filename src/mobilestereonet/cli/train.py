@@ -17,7 +17,8 @@ def train(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Network to train: a name of `msnet models`, or my_net.py:MyNet.",
+            help="Network to train: a name of `msnet models`, or my_net.py:MyNet. Default: the "
+            "recipe's.",
             callback=network_name,
         ),
     ] = None,
@@ -56,10 +57,11 @@ def train(
     """Train a network under a recipe; every value of it can be overridden.
 
     Without --recipe it is procedural, or procedural-plain for a network that lacks what that needs:
-    both train on procedural scenes, which need no download. Ctrl-C ends the run
-    after its current step, with a checkpoint.
+    both train on procedural scenes, which need no download. The others are published schedules.
+    Ctrl-C ends the run after its current step, with a checkpoint.
     """
-    from mobilestereonet.training.recipe import default_recipe, get_recipe, override, read_recipe
+    from mobilestereonet.training.named_recipes import default_recipe, get_recipe, read_recipe
+    from mobilestereonet.training.recipe import override
     from mobilestereonet.training.run import train as run
 
     values = options.values

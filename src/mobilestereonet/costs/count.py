@@ -30,7 +30,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets import StereoModel, build_model
 
 
@@ -131,8 +131,7 @@ def count_costs(
     net = _on_meta(network, config or {})
     multiple = net.size_multiple
     for name, size in (("height", height), ("width", width)):
-        if size < multiple or size % multiple:
-            raise InputError(f"{name} must be a positive multiple of {multiple}, got {size}")
+        check_multiple(name, size, multiple)
     costs: defaultdict[str, Cost] = defaultdict(Cost)
     called: set[str] = set()
     for name, module in net.named_modules():

@@ -54,6 +54,7 @@ def benchmark_network(
     threads: int | None = None,
     repeats: int = 5,
     opening: Callable[[str, str], object] | None = None,
+    refused: Callable[[str, str, InputError], object] | None = None,
 ) -> list[EngineTime]:
     """Time a network in several engines, all in turns.
 
@@ -67,15 +68,28 @@ def benchmark_network(
         repeats: Timed runs of each engine; one before them is not timed.
         opening: Called with each engine's name and precision before it is made ready, which may
             be a conversion of minutes.
+        refused: Called with the name and precision of an engine that cannot run the network, and
+            why; it is then left out. By default that is an error.
 
     Returns:
         "eager" in fp32, then the engines in their order.
+
+    Raises:
+        InputError: If an engine cannot run the network, without ``refused``.
     """
     opened: list[Engine] = [EagerNetwork(net, device, threads)]
     for name, precision in engines:
         if opening is not None:
             opening(name, precision)
-        opened.append(open_engine(name, net, precision=precision, device=device, threads=threads))
+        try:
+            engine = open_engine(name, net, precision=precision, device=device, threads=threads)
+            _run(engine, left, right)()  # some convert the network when the first views come
+        except InputError as error:
+            if refused is None:
+                raise
+            refused(name, precision, error)
+        else:
+            opened.append(engine)
     return benchmark_engines(opened, left, right, repeats=repeats)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mobilestereonet.data.images import to_picture
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets.model import RGB, Prediction
 
 _BLOCK_PX = 5
@@ -39,10 +39,7 @@ class StereoSGBM:
     has_confidence = False
 
     def __init__(self, max_disparity: int = 192) -> None:
-        if max_disparity <= 0 or max_disparity % 16:
-            raise InputError(
-                f"sgbm: max_disparity must be a positive multiple of 16, got {max_disparity}"
-            )
+        check_multiple("sgbm: max_disparity", max_disparity, 16)
         self.max_disparity = max_disparity
 
     def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:

@@ -130,9 +130,10 @@ class StereoMatcher:
         if refine is None:
             refine = isinstance(model, VolumeModel) and model.regression.estimator == "mode"
         if (confidence or refine) and not self.engine.has_confidence:
+            what = type(model).__name__ if self._net is not None else name or self.engine.name
             raise InputError(
-                f"{self.engine.name} has no confidence: leave out confidence, min-confidence and "
-                "refine; left-right works"
+                f"{what} has no confidence: leave out confidence, "
+                "min-confidence and refine; left-right works"
             )
         self.model = name or str(getattr(self.engine, "model", self.engine.name))
         self.padding = padding

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.model import RGB, Preprocessing
 from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.registry import register_model
@@ -23,7 +24,6 @@ from mobilestereonet.nets.regression import (
     RegressionConfig,
     RegressionModel,
     RegressionOutputs,
-    check_width,
     conv,
     enlarged,
     initialise,
@@ -185,7 +185,7 @@ class DispNetCConfig:
     occlusion: bool = False
 
     def __post_init__(self) -> None:
-        check_width(self.width)
+        check_multiple("width", self.width, 8)
 
 
 @register_model(
@@ -196,6 +196,7 @@ class DispNetCConfig:
     checkpoints="none that can be read here; lmb-freiburg/netdef_models on GitHub has it as the "
     "first network of its stacks CSS and css (TensorFlow snapshots)",
     trained_on="FlyingThings3D; that and KITTI",
+    recipes=("dispnet-c-sceneflow",),
 )
 class DispNetC(RegressionModel):
     """Correlation at an eighth of the resolution, in an encoder-decoder; prediction at a quarter.

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.blocks import initialise
 from mobilestereonet.nets.model import RGB, Prediction, StereoModel
 from mobilestereonet.nets.registry import register_model
@@ -50,8 +50,7 @@ class FastDSCSConfig:
     max_disparity: int = 256
 
     def __post_init__(self) -> None:
-        if self.max_disparity % 2 or self.max_disparity < 2:
-            raise InputError(f"max_disparity must be positive and even, got {self.max_disparity}")
+        check_multiple("max_disparity", self.max_disparity, 2)
 
 
 class Bias(nn.Module):
@@ -116,6 +115,7 @@ class UNet(nn.Module):
     licence="no licence given (code and weights)",
     checkpoints="ayanc/fdscs on GitHub: bn600k.npz (its other files lack statistics of the norms)",
     trained_on="SceneFlow finalpass, then KITTI 2012 and 2015",
+    recipes=("fast-ds-cs-sceneflow", "fast-ds-cs-kitti2015"),
 )
 class FastDSCS(StereoModel):
     """Hand-made costs as channels, and a U-Net on them. Takes views of any size."""

@@ -10,10 +10,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets.blocks import conv_norm, initialise
 from mobilestereonet.nets.guided_aggregation import LocalAggregation, SemiGlobalAggregation
-from mobilestereonet.nets.model import Prediction, Preprocessing, StereoModel
+from mobilestereonet.nets.model import (
+    Prediction,
+    Preprocessing,
+    StereoModel,
+    smooth_l1_of_heads,
+)
 from mobilestereonet.nets.operations import concatenate, cost_volume
 from mobilestereonet.nets.registry import register_model
 
@@ -35,10 +40,7 @@ class GANetConfig:
     passes: int = 2
 
     def __post_init__(self) -> None:
-        if self.max_disparity % 12 or self.max_disparity < 12:
-            raise InputError(
-                f"max_disparity must be a positive multiple of 12, got {self.max_disparity}"
-            )
+        check_multiple("max_disparity", self.max_disparity, 12)
         if self.passes not in (1, 2):
             raise InputError(f"passes must be 1 or 2, got {self.passes}")
 
@@ -240,6 +242,7 @@ _RELEASE: dict[str, Any] = {
     "paper": "Zhang et al., GA-Net: Guided Aggregation Net for End-to-end Stereo Matching, "
     "CVPR 2019",
     "licence": "MIT (code; nothing is said about the weights, KITTI's and SceneFlow's terms apply)",
+    "recipes": ("ganet-sceneflow", "ganet-kitti2015"),
 }
 
 
@@ -305,12 +308,7 @@ class GANet(StereoModel):
 
     def training_loss(self, outputs: GANetOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
         """Smooth L1 of all heads, weighted (Sec. 3.4), see `StereoModel`."""
-        truth = torch.where(valid, disparity, 0)  # unknown values may be anything, NaN too
-        losses = [
-            weight * (valid * F.smooth_l1_loss(prediction, truth, reduction="none")).sum()
-            for weight, prediction in zip(self.head_weights, outputs.disparities, strict=True)
-        ]
-        return torch.stack(losses).sum() / valid.sum().clamp_min(1)
+        return smooth_l1_of_heads(outputs.disparities, self.head_weights, disparity, valid)
 
 
 def _conv(dims: int, inputs: int, outputs: int) -> nn.Conv2d | nn.Conv3d:

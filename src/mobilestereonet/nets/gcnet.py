@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.blocks import conv_norm, transposed_norm
 from mobilestereonet.nets.model import Preprocessing, VolumeModel, VolumeOutputs
 from mobilestereonet.nets.operations import cost_volume
@@ -37,10 +37,7 @@ class GCNetConfig:
     max_disparity: int = 192
 
     def __post_init__(self) -> None:
-        if self.max_disparity % 32 or self.max_disparity < 32:
-            raise InputError(
-                f"max_disparity must be a positive multiple of 32, got {self.max_disparity}"
-            )
+        check_multiple("max_disparity", self.max_disparity, 32)
 
 
 class ConvChain(nn.Sequential):
@@ -98,6 +95,7 @@ class Features(nn.Module):
     paper="Kendall et al., End-to-End Learning of Geometry and Context for Deep Stereo "
     "Regression, ICCV 2017",
     checkpoints="none",
+    recipes=("gcnet-sceneflow", "gcnet-kitti2015"),
     published={"KITTI 2015 test D1-all, %": 2.87},
 )
 class GCNet(VolumeModel):

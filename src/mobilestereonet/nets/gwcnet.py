@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets.blocks import conv_norm, initialise
 from mobilestereonet.nets.cost_volumes import Correlation
 from mobilestereonet.nets.features import FeatureExtraction
@@ -44,17 +44,17 @@ class GwcNetConfig:
     hourglasses: int = 3
 
     def __post_init__(self) -> None:
-        if self.max_disparity % 16 or self.max_disparity < 16:
-            raise InputError(
-                f"max_disparity must be a positive multiple of 16, got {self.max_disparity}"
-            )
+        check_multiple("max_disparity", self.max_disparity, 16)
         if self.hourglasses < 1:
             raise InputError(f"hourglasses must be at least 1, got {self.hourglasses}")
 
 
-_PAPER = "Guo et al., Group-wise Correlation Stereo Network, CVPR 2019"
-_RELEASE: dict[str, Any] = {
-    "paper": _PAPER,
+_INFORMATION: dict[str, Any] = {
+    "paper": "Guo et al., Group-wise Correlation Stereo Network, CVPR 2019",
+    "recipes": ("gwcnet-sceneflow", "gwcnet-kitti2015"),
+}
+_RELEASE = {
+    **_INFORMATION,
     "licence": "MIT (code; nothing is said about the weights, KITTI's and SceneFlow's terms apply)",
 }
 
@@ -70,7 +70,7 @@ register_model(
 
 # Its ablation's base: MobileStereoNet's tables call it Gwc40-Cat24-Base.
 @register_model(
-    "gwcnet-gc-base", config=GwcNetConfig(hourglasses=1), paper=_PAPER, checkpoints="none"
+    "gwcnet-gc-base", config=GwcNetConfig(hourglasses=1), checkpoints="none", **_INFORMATION
 )
 @register_model(
     "gwcnet-gc",

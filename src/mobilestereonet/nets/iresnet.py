@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets.dispnet import BGRModel, Corr1DStage, Stage
 from mobilestereonet.nets.model import RGB
 from mobilestereonet.nets.operations import Correlation1D
@@ -23,7 +23,6 @@ from mobilestereonet.nets.regression import (
     RegressionConfig,
     RegressionModel,
     RegressionOutputs,
-    check_width,
     conv,
     initialise,
     positive,
@@ -51,7 +50,7 @@ class IResNetConfig:
     iterations: int = 2
 
     def __post_init__(self) -> None:
-        check_width(self.width)
+        check_multiple("width", self.width, 8)
         if self.iterations < 1:
             raise InputError(f"iterations must be at least 1, got {self.iterations}")
 
@@ -114,6 +113,7 @@ _PAPER = "Liang et al., Learning for Disparity Estimation through Feature Consta
     licence="BSD 2-clause (code); nothing is said about the weights",
     checkpoints="leonzfa/iResNet on GitHub (Caffe; that of ROB 2018 is another network)",
     trained_on="SceneFlow; that and KITTI 2015",
+    recipes=("iresnet-sceneflow",),
 )
 class IResNet(BGRModel):
     """DispNet-Corr1D at the full resolution, refined by the constancy of multi-scale features."""

@@ -133,8 +133,15 @@ class MCCNNOutputs:
         self.net, self.left, self.right = net, left, right
 
     @cached_property
-    def disparity(self) -> Tensor:
-        """Of the lowest cost, without the stereo method and without a gradient."""
+    def disparity(self) -> Tensor | None:
+        """Of the lowest cost, without the stereo method and without a gradient.
+
+        None in the accurate network, where it would take most of a step's time.
+        """
+        return None if self.net.config.hidden else self.cheapest()
+
+    def cheapest(self) -> Tensor:
+        """Disparity (B, H, W) of the lowest cost."""
         with torch.no_grad():
             pairs = zip(self.left, self.right, strict=True)
             volumes = [self.net.volume(left, right) for left, right in pairs]
@@ -150,8 +157,10 @@ _INFORMATION: dict[str, Any] = {
 }
 
 
-@register_model("mccnn-slow", config=SLOW_KITTI2015, **_INFORMATION)
-@register_model("mccnn-fast", **_INFORMATION)
+@register_model(
+    "mccnn-slow", config=SLOW_KITTI2015, recipes=("mccnn-slow-kitti2015",), **_INFORMATION
+)
+@register_model("mccnn-fast", recipes=("mccnn-fast-kitti2015",), **_INFORMATION)
 class MCCNN(StereoModel):
     """Patches of 9x9 px compared by their features, and a stereo method without learning."""
 
@@ -181,7 +190,7 @@ class MCCNN(StereoModel):
         if self.training:
             return outputs
         if left.is_meta:  # the stereo method depends on values
-            return Prediction(outputs.disparity)
+            return Prediction(outputs.cheapest())
         pairs = zip(outputs.left, outputs.right, left[:, 0], right[:, 0], strict=True)
         return Prediction(torch.stack([self.match(*pair) for pair in pairs]))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+import math
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -73,7 +74,7 @@ class StereoModel(nn.Module):
     """A stereo network: everything that training, evaluation, export and engines know of one.
 
     In training mode ``forward`` returns what `training_loss` takes: any object with the final
-    prediction as its attribute ``disparity``, (B, H, W).
+    prediction as its attribute ``disparity``, (B, H, W), or None where that would take long.
 
     Args:
         config: The network as data: a frozen dataclass with a field ``max_disparity``. A weights
@@ -262,14 +263,32 @@ class VolumeModel(StereoModel):
 
     def training_loss(self, outputs: VolumeOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
         """Smooth L1 of the heads' expected disparities, weighted; see `StereoModel`."""
-        truth = torch.where(valid, disparity, 0)  # unknown values may be anything, NaN too
-        losses = [
-            weight * (valid * F.smooth_l1_loss(prediction, truth, reduction="none")).sum()
-            for weight, prediction in zip(
-                self.weights_of(outputs.scores), outputs.disparities, strict=True
-            )
-        ]
-        return torch.stack(losses).sum() / valid.sum().clamp_min(1)
+        weights = self.weights_of(outputs.scores)
+        return smooth_l1_of_heads(outputs.disparities, weights, disparity, valid)
+
+
+def smooth_l1_of_heads(
+    predictions: Sequence[Tensor], weights: Sequence[float], disparity: Tensor, valid: Tensor
+) -> Tensor:
+    """Weighted sum of the heads' smooth L1, a mean over the valid pixels; 0 where there is none.
+
+    Args:
+        predictions: Disparity (B, H, W) per head, in pixels.
+        weights: Weight of each head.
+        disparity: Ground truth (B, H, W), in pixels; anything where it is not valid, NaN too.
+        valid: Pixels that count, (B, H, W) bool.
+    """
+    truth = torch.where(valid, disparity, 0)
+    losses = [
+        weight * (valid * F.smooth_l1_loss(prediction, truth, reduction="none")).sum()
+        for weight, prediction in zip(weights, predictions, strict=True)
+    ]
+    return torch.stack(losses).sum() / valid.sum().clamp_min(1)
+
+
+def fitting_side(net: StereoModel | type[StereoModel], side: int) -> int:
+    """Smallest height or width, in pixels, that a network takes and that is at least ``side``."""
+    return math.ceil(max(side, net.min_side) / net.size_multiple) * net.size_multiple
 
 
 def trained_pixels(disparity: Tensor, valid: Tensor, max_disparity: int) -> Tensor:

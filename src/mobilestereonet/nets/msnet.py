@@ -235,9 +235,12 @@ def _ablations() -> dict[str, NetConfig]:
     return rows
 
 
-_PAPER = "Shamsafar et al., MobileStereoNet, WACV 2022"
-_RELEASE: dict[str, Any] = {
-    "paper": _PAPER,
+_INFORMATION: dict[str, Any] = {
+    "paper": "Shamsafar et al., MobileStereoNet, WACV 2022",
+    "recipes": ("paper-sceneflow", "paper-kitti2015"),
+}
+_RELEASE = {
+    **_INFORMATION,
     "licence": "see the authors' repository; SceneFlow's and KITTI's terms apply to the weights",
     "checkpoints": "cogsys-tuebingen/mobilestereonet on GitHub",
     "trained_on": "SceneFlow finalpass; that and KITTI 2015",
@@ -249,11 +252,11 @@ register_model(
     **_RELEASE,
 )(MobileStereoNet)
 # With the skip in its 3D blocks that the paper describes; the release does without.
-register_model("msnet3d", config=MSNET3D, paper=_PAPER)(MobileStereoNet)
+register_model("msnet3d", config=MSNET3D, **_INFORMATION)(MobileStereoNet)
 register_model(
     "msnet3d-cascade",
     config=CASCADE3D,
-    paper=f"{_PAPER}; searched in two steps after Gu et al., CVPR 2020",
+    paper=f"{_INFORMATION['paper']}; searched in two steps after Gu et al., CVPR 2020",
 )(MobileStereoNet)
 register_model(
     "msnet3d-authors",
@@ -262,4 +265,4 @@ register_model(
     **_RELEASE,
 )(MobileStereoNet)
 for _name, _config in {"baseline2d": BASELINE2D, "baseline3d": BASELINE3D, **_ablations()}.items():
-    register_model(_name, config=_config, paper=_PAPER)(MobileStereoNet)
+    register_model(_name, config=_config, **_INFORMATION)(MobileStereoNet)

@@ -7,13 +7,13 @@ last two stages of the features have dilations 1 and 2, in the paper 2 and 4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
 from mobilestereonet.nets.features import FeatureExtraction
 from mobilestereonet.nets.hourglass import Head, PreHourglass
@@ -49,10 +49,7 @@ class PSMNetConfig:
     """Fields that do not change what a network is called, see `model_name`."""
 
     def __post_init__(self) -> None:
-        if self.max_disparity % 16 or self.max_disparity < 16:
-            raise InputError(
-                f"max_disparity must be a positive multiple of 16, got {self.max_disparity}"
-            )
+        check_multiple("max_disparity", self.max_disparity, 16)
 
 
 class PyramidFeatures(nn.Module):
@@ -117,15 +114,18 @@ class StackedHourglass(nn.Module):
         return self.up6(up), down, up
 
 
-_PAPER = "Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018"
+_INFORMATION: dict[str, Any] = {
+    "paper": "Chang and Chen, Pyramid Stereo Matching Network, CVPR 2018",
+    "recipes": ("psmnet-sceneflow", "psmnet-kitti2015"),
+}
 
 
 @register_model(
-    "psmnet-basic", config=PSMNetConfig(stacked=False), paper=_PAPER, checkpoints="none"
+    "psmnet-basic", config=PSMNetConfig(stacked=False), checkpoints="none", **_INFORMATION
 )
 @register_model(
     "psmnet",
-    paper=_PAPER,
+    **_INFORMATION,
     licence="MIT (code; nothing is said about the weights, KITTI's and SceneFlow's terms apply)",
     checkpoints="JiaRenChang/PSMNet on GitHub: pretrained_sceneflow_new.tar (align_corners=False); "
     "pretrained_sceneflow.tar, pretrained_model_KITTI2015.tar and pretrained_model_KITTI2012.tar "

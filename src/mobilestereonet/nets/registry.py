@@ -36,6 +36,8 @@ class ModelInfo:
         checkpoints: Where public checkpoints are found.
         trained_on: What those were trained on.
         published: Errors that the paper prints, by what they are.
+        recipes: Names of the recipes that are its authors' training schedule, in the order in
+            which they follow each other (see `training.named_recipes`).
     """
 
     name: str
@@ -46,6 +48,7 @@ class ModelInfo:
     checkpoints: str = ""
     trained_on: str = ""
     published: Mapping[str, float] = field(default_factory=dict)
+    recipes: tuple[str, ...] = ()
 
 
 _MODELS: dict[str, ModelInfo] = {}

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.model import Prediction, StereoModel
 
 SLOPE = 0.1
@@ -100,17 +100,7 @@ class RegressionConfig:
     width: int = 64
 
     def __post_init__(self) -> None:
-        check_width(self.width)
-
-
-def check_width(width: int) -> None:
-    """Refuse widths that are no positive multiple of 8.
-
-    Raises:
-        InputError: If so.
-    """
-    if width % 8 or width < 8:
-        raise InputError(f"width must be a positive multiple of 8, got {width}")
+        check_multiple("width", self.width, 8)
 
 
 def conv(

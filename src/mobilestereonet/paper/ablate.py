@@ -21,7 +21,8 @@ from mobilestereonet.paper.tables import ablation_tables
 from mobilestereonet.settings import build
 from mobilestereonet.text import read_json
 from mobilestereonet.training.data import RunData
-from mobilestereonet.training.recipe import Recipe, read_recipe
+from mobilestereonet.training.named_recipes import read_recipe
+from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
 
 TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")

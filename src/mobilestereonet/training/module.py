@@ -22,11 +22,12 @@ from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.metrics import StereoMetrics
 from mobilestereonet.nets import StereoModel, VolumeModel, build_model
+from mobilestereonet.nets.model import fitting_side
 from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.plots import colour_disparity, error_map
 from mobilestereonet.training.callbacks import Clock
-from mobilestereonet.training.muon import Muon
 from mobilestereonet.training.objective import Objective, Part
+from mobilestereonet.training.optimizers import make_optimizer
 from mobilestereonet.training.pool import TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.teacher import Teacher
@@ -35,8 +36,6 @@ with needs_extra("train"):
     import lightning as L
     from lightning.pytorch.loggers import TensorBoardLogger
     from lightning.pytorch.utilities import rank_zero_info
-
-_OPTIMIZERS: dict[str, Any] = {"adam": torch.optim.Adam, "muon": Muon}
 
 
 class StereoModule(L.LightningModule):
@@ -86,8 +85,7 @@ class StereoModule(L.LightningModule):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity (B, H, W) of RGB views (B, 3, H, W) in 0..1 of any size, in eval mode."""
         height, width = left.shape[-2:]
-        multiple, least = self.net.size_multiple, self.net.min_side
-        size = [max(math.ceil(side / multiple) * multiple, least) for side in (height, width)]
+        size = [fitting_side(self.net, side) for side in (height, width)]
         views = [pad(self.net.preprocessing(view), *size) for view in (left, right)]
         net = self._accelerated[0] if self._accelerated else self.net
         with eval_mode(net):
@@ -195,9 +193,12 @@ class StereoModule(L.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """The recipe's optimizer, its learning rate by the recipe's schedule at every step."""
-        optimizer = _OPTIMIZERS[self.recipe.optimizer](self.net.parameters(), lr=self.lr)
+        recipe = self.recipe
+        optimizer = make_optimizer(
+            recipe.optimizer, self.net.parameters(), self.lr, recipe.optimizer_options
+        )
         schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: self.recipe.lr_factor(self.share(step))
+            optimizer, lambda step: recipe.lr_factor(self.share(step))
         )
         return {
             "optimizer": optimizer,

@@ -14,6 +14,7 @@ from mobilestereonet.accelerate.soft_argmax import has_closed_form
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel, trained_pixels
+from mobilestereonet.nets.model import fitting_side
 from mobilestereonet.nets.registry import import_from_file
 from mobilestereonet.training.losses import (
     cross_entropy_sum,
@@ -56,6 +57,7 @@ class Objective:
     """
 
     def __init__(self, recipe: Recipe, net: StereoModel) -> None:
+        _check_crop(recipe, net)
         _check_heads(recipe, net)
         self.recipe = recipe
         self._own_loss: LossFunction | None = None
@@ -84,8 +86,9 @@ class Objective:
         if isinstance(net, VolumeModel):
             coarse, figures = self._volume_terms(net, outputs, pairs.disparity, mask)
             total = total + coarse
-        error = torch.where(mask, (trained.disparity.detach() - pairs.disparity).abs(), 0)
-        figures["epe"] = error.sum() / pixels.clamp_min(1)
+        if trained.disparity is not None:
+            error = torch.where(mask, (trained.disparity.detach() - pairs.disparity).abs(), 0)
+            figures["epe"] = error.sum() / pixels.clamp_min(1)
         return Part(total, pixels.to(total.dtype), figures)
 
     def taught(
@@ -169,6 +172,18 @@ def volume_loss_sum(volume: Tensor, disparity: Tensor, mask: Tensor, *, scale: i
     return cross_entropy_sum([scores], [1.0], disparity + (scale - 1) / 2, mask, scale=scale)
 
 
+def _check_crop(recipe: Recipe, net: StereoModel) -> None:
+    """Refuse crops of a size that the network does not take."""
+    for name in ("height", "width"):
+        side = getattr(recipe.augment, name)
+        if side is not None and (fitting := fitting_side(net, side)) != side:
+            raise InputError(
+                f"recipe: {recipe.model} takes heights and widths that are multiples of "
+                f"{net.size_multiple}, from {fitting_side(net, 1)} on, and augment.{name} is "
+                f"{side}: --set augment.{name}={fitting}"
+            )
+
+
 def _check_heads(recipe: Recipe, net: StereoModel) -> None:
     """Refuse what the recipe asks of scores that the network does not have, or of too few heads."""
     if not isinstance(net, VolumeModel):
@@ -182,6 +197,12 @@ def _check_heads(recipe: Recipe, net: StereoModel) -> None:
                 f"need matching scores: {values}, or --recipe procedural-plain"
             )
         return
+    if (recipe.cross_entropy or recipe.volume_cross_entropy) and net.regression.align_corners:
+        raise InputError(
+            f"recipe: cross_entropy is for scores with half-pixel centres, and {recipe.model} has "
+            "net.align_corners: --set net.align_corners=false, or --set cross_entropy=0 "
+            "--set volume_cross_entropy=0"
+        )
     target = recipe.cross_entropy_target
     if recipe.cross_entropy and target != "planes" and not has_closed_form(net.regression):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Training recipes as data: the paper's schedules, and this project's for procedural scenes."""
+"""A training run as data."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -18,17 +18,14 @@ import numpy as np
 from mobilestereonet import settings
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoModel, VolumeModel, model_config, model_info
+from mobilestereonet.nets import model_config
 from mobilestereonet.scenes import SceneConfig
-from mobilestereonet.settings import build, differences
-from mobilestereonet.text import parse_json, parse_yaml, read_text
+from mobilestereonet.settings import differences
+from mobilestereonet.training.optimizers import check_optimizer
 from mobilestereonet.weights import is_embedded
 
 MODEL_LOSS = "model"
 """A recipe's loss that is the network's own."""
-
-RECIPE_FILES = sorted(Path(__file__).with_name("recipes").glob("*.yaml"))
-"""The named recipes as commented files."""
 
 CROSS_ENTROPY_TARGETS = ("planes", "disparity", "surfaces")
 
@@ -69,8 +66,10 @@ class Recipe:
             writes here how many it took: without the duration the recipe repeats it.
         duration: Length of the run by the clock, such as "90s", "12m" or "1.5h"; the schedule
             follows the time in training, which a resumed run keeps.
-        optimizer: "adam", as in the paper, or "muon" (see `training.muon`), which learns more from
-            as many steps.
+        optimizer: "adam", as in the paper; "muon" (see `training.muon`), which learns more from
+            as many steps; "rmsprop" or "sgd".
+        optimizer_options: Other arguments of the optimizer's class in `torch.optim`, or of `Muon`,
+            such as ``weight_decay``.
         lr: Learning rate at a global batch (all devices) of ``lr_batch`` pairs. It grows
             in proportion to the global batch.
         lr_batch: The global batch that ``lr`` is meant for (the paper's: 8 in 2D, 4 in 3D).
@@ -123,6 +122,7 @@ class Recipe:
     steps: int | None = None
     duration: str | None = None
     optimizer: str = "adam"
+    optimizer_options: dict[str, Any] = field(default_factory=dict)
     lr: float = 1e-3
     lr_batch: int = 8
     schedule: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 1.0))
@@ -158,8 +158,7 @@ class Recipe:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"recipe: {name} must be positive, got {value}")
-        if self.optimizer not in ("adam", "muon"):
-            raise InputError(f"recipe: optimizer must be adam or muon, got {self.optimizer!r}")
+        check_optimizer(self.optimizer, self.optimizer_options)
         if self.cross_entropy_target not in CROSS_ENTROPY_TARGETS:
             raise InputError(
                 f"recipe: cross_entropy_target must be {' or '.join(CROSS_ENTROPY_TARGETS)}, got "
@@ -215,7 +214,7 @@ class Recipe:
         paths |= {key: name for key, name in by_name.items() if name and not is_embedded(name)}
         given = {key: str(Path(path).resolve()) for key, path in paths.items() if path is not None}
         for key in ("model", "loss"):
-            given[key] = _absolute(getattr(self, key))
+            given[key] = absolute_reference(getattr(self, key))
         return dataclasses.replace(self, **given)  # type: ignore[arg-type]
 
     def changes(self, now: Recipe) -> str:
@@ -233,91 +232,7 @@ class Recipe:
         return json.dumps(dataclasses.asdict(self), indent=2)
 
 
-def _named_recipes() -> dict[str, Recipe]:
-    """The recipes of the folder ``recipes``; one may name another as its ``base``."""
-    records = {path.stem: parse_yaml(read_text(path), path.name) for path in RECIPE_FILES}
-
-    def complete(record: Mapping[str, Any]) -> dict[str, Any]:
-        base = record.get("base")
-        values = {key: value for key, value in record.items() if key != "base"}
-        return (complete(records[base]) if base else {}) | values
-
-    return {name: build(Recipe, complete(record), name) for name, record in records.items()}
-
-
-RECIPES = _named_recipes()
-"""Recipes by name. "procedural-plain" asks nothing of a network but its own loss."""
-
-
-def get_recipe(name: str) -> Recipe:
-    """A recipe by its name, or a run's by the path of its ``recipe.json``.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the name is unknown, or the file is no recipe.
-    """
-    if name.endswith(".json"):
-        return read_recipe(Path(name))
-    if name not in RECIPES:
-        raise InputError(f"unknown recipe {name!r}: choose one of {', '.join(RECIPES)}")
-    return RECIPES[name]
-
-
-def default_recipe(model: str) -> Recipe:
-    """The recipe "procedural" if a network takes all of its values, else "procedural-plain".
-
-    Args:
-        model: Name of the network, see `Recipe`.
-
-    Raises:
-        FileNotFoundError: If there is no such file of a network of the user's own.
-        InputError: If the name is unknown.
-    """
-    network, recipe = model_info(model).network, RECIPES["procedural"]
-    known = {part.name for part in dataclasses.fields(model_config(model))}
-    has_zero_residuals = network.zero_residuals is not StereoModel.zero_residuals
-    fits = issubclass(network, VolumeModel) and has_zero_residuals
-    name = "procedural" if fits and recipe.net.keys() <= known else "procedural-plain"
-    return dataclasses.replace(RECIPES[name], model=model)
-
-
-def read_recipe(path: Path, *, trusted: Collection[str] = ()) -> Recipe:
-    """The recipe that a run wrote beside its checkpoints.
-
-    Args:
-        path: The ``recipe.json``.
-        trusted: References such as ``my_net.py:MyNet`` that the user gave.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the file is no recipe, or names code in its own folder that is not
-            ``trusted``: who got the folder from somebody has not asked for that to be run.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path.parent} holds no run: there is no {path.name} in it")
-    record = _of_older_versions(parse_json(read_text(path), f"{path}: not a recipe"))
-    if isinstance(record, dict):
-        _refuse_code(record, path, trusted)
-    try:
-        return build(Recipe, record, "recipe", also_known=_net_names(record))
-    except InputError as error:
-        raise InputError(f"{path}: not a recipe: {error}") from None
-
-
-def _refuse_code(record: dict[str, Any], path: Path, trusted: Collection[str]) -> None:
-    known = {_absolute(reference) for reference in trusted}
-    for name, option in (("model", "--model"), ("loss", "--set loss=")):
-        reference = _absolute(str(record.get(name)))
-        file = Path(reference.rpartition(":")[0])
-        is_beside = file.suffix == ".py" and path.parent.resolve() in file.parents
-        if is_beside and reference not in known:
-            raise InputError(
-                f"{path}: its {name} is code that lies beside it, {reference}, and is not run "
-                f"unasked: if you trust it, name it by {option}"
-            )
-
-
-def _absolute(reference: str) -> str:
+def absolute_reference(reference: str) -> str:
     """A reference such as ``my_net.py:MyNet`` with the file's whole path; other names stay."""
     file, colon, name = reference.rpartition(":")
     return f"{Path(file).resolve()}{colon}{name}" if file.endswith(".py") else reference
@@ -334,29 +249,12 @@ def override(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
         InputError: If a name is none of the recipe's, or a value has the wrong type.
     """
     model = values.get("model", recipe.model)
-    return settings.override(recipe, values, "recipe", also_known=_net_names({"model": model}))
+    return settings.override(recipe, values, "recipe", also_known=net_names({"model": model}))
 
 
-def _net_names(record: Any) -> list[str]:
+def net_names(record: Any) -> list[str]:
     """Values of a recipe's network by the names that ``--set`` takes, as far as it is known."""
     with suppress(InputError, AttributeError, TypeError):
         config = model_config(record.get("model", Recipe.model))
         return [f"net.{part.name}" for part in dataclasses.fields(config)]
     return []
-
-
-_NET_VALUES = {"max_disparity": 192, "estimator": "mean", "coarse_pass": False}
-"""Values of the network that recipes of version 0.1.0 held themselves, and their defaults."""
-
-
-def _of_older_versions(record: Any) -> Any:
-    """A recipe's JSON with what older versions called otherwise in its place of now."""
-    if not isinstance(record, dict) or not _NET_VALUES.keys() & record.keys():
-        return record
-    record = {"full_heads": 4, **record}
-    old = {name: record.pop(name) for name in _NET_VALUES if name in record}
-    net = {name: value for name, value in old.items() if value != _NET_VALUES[name]}
-    # Their networks had four heads at most.
-    if record["full_heads"] == 4:
-        record["full_heads"] = None
-    return {**record, "net": net | record.get("net", {})}

@@ -39,7 +39,8 @@ from mobilestereonet.training.callbacks import (
 )
 from mobilestereonet.training.data import RunData
 from mobilestereonet.training.module import StereoModule
-from mobilestereonet.training.recipe import Recipe, read_recipe
+from mobilestereonet.training.named_recipes import read_recipe
+from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.weights import load_model, save_weights
 
 with needs_extra("train"):

@@ -52,6 +52,11 @@ class Teacher:
                 f"teacher {weights} scores every {net.regression.scale} pixels, the network in "
                 f"training every {scale}: choose a teacher of its kind"
             )
+        if net.regression.align_corners:
+            raise InputError(
+                f"teacher {weights} upsamples its scores with aligned corners, and the network in "
+                "training with half-pixel centres: choose a teacher of its kind"
+            )
         self.net = net
         self._engine: TorchEngine | None = None
 

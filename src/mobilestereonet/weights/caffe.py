@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.weights.files import WeightsFile
-from mobilestereonet.weights.names import Rule, released_name
+from mobilestereonet.weights.names import Rule, translated_name
 from mobilestereonet.weights.shapes import registered_shapes
 
 ENDING = ".caffemodel"
@@ -76,8 +76,8 @@ def caffe_key(key: str, network: str) -> str:
     """
     part, _, rest = key.partition(".")
     if part not in ("stage", "stage1", "stage2"):
-        return released_name(key, _RULES[network])
-    layer, _, kind = released_name(rest, _STAGE).rpartition(".")
+        return translated_name(key, _RULES[network])
+    layer, _, kind = translated_name(rest, _STAGE).rpartition(".")
     return f"{layer}_s2.{kind}" if part == "stage2" else f"{layer}.{kind}"
 
 

@@ -22,7 +22,7 @@ def substituted(name: str, rules: Sequence[tuple[str, Any]]) -> str:
     return name
 
 
-def released_name(name: str, rules: Sequence[Rule]) -> str:
+def translated_name(name: str, rules: Sequence[Rule]) -> str:
     """A release's name for one of ours.
 
     Args:

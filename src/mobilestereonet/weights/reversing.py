@@ -7,7 +7,7 @@ from torch import Tensor
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.weights.files import WeightsFile
-from mobilestereonet.weights.names import Rule, released_name
+from mobilestereonet.weights.names import Rule, translated_name
 from mobilestereonet.weights.shapes import registered_shapes
 
 MODEL = "iresnet-reversing"
@@ -44,7 +44,7 @@ _RULES: list[Rule] = [
 
 def reversing_key(key: str) -> str:
     """The authors' name for a name in our state dict."""
-    return released_name(key, _RULES)
+    return translated_name(key, _RULES)
 
 
 def from_reversing(weights: WeightsFile) -> WeightsFile:
