@@ -51,7 +51,6 @@ NETWORK += ("--model baseline2d", "--model my_net.py:MyNet", "--weights absent.c
 NETWORK += ("--model sgbm --weights absent.ckpt", "--model my_net.py:", "--set net.colour=red")
 ENGINE = ("--threads 0", "--device cuda:x")
 MATCHER = (*NETWORK, *ENGINE, "--runtime openvin", "--precision fp64")
-MATCHER += ("--model sgbm --precision bf16", "--model sgbm --runtime openvino")
 CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit cm")
 CALIBRATION += ("--calib-left absent.txt", "--focal 900 --calib left.png")
 TRAINING = ("--precision fp16", "--accelerator gpus", "--recipe procedurel", "--set lr")

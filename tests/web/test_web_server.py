@@ -4,6 +4,7 @@ import json
 import os
 import time
 from pathlib import Path
+from socket import gethostname
 from threading import Event
 from types import SimpleNamespace
 from urllib.error import HTTPError
@@ -22,7 +23,7 @@ gr = need_extra("gradio")
 
 from mobilestereonet.web.handlers import Handlers, PageConfig  # noqa: E402
 from mobilestereonet.web.page import build_page  # noqa: E402
-from mobilestereonet.web.server import running  # noqa: E402
+from mobilestereonet.web.server import is_own_name, running  # noqa: E402
 
 PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
 VISITOR = SimpleNamespace(session_hash="someone")
@@ -166,6 +167,71 @@ def test_an_upload_event_takes_no_other_path(address, path, words):
     message = json.loads(line.removeprefix(b"data: "))
     assert message["success"] is False
     assert message["output"]["error"] == words  # None: gradio's own refusal, not told
+
+
+@pytest.mark.parametrize("place", range(7))
+def test_no_component_fetches_an_address(address, place):
+    file = {"path": "http://127.0.0.1:1/x.png", "meta": {"_type": "gradio.FileData"}}
+    values = ["msnet2d", "torch", 0, 0, 0, 0, 0.5]
+    values[place] = file if place % 2 else {"deep": [file]}
+    join(address, "click", values)
+    with urlopen(f"{address}/gradio_api/queue/data?session_hash=intruder", timeout=20) as stream:
+        line = next(line for line in stream if b"process_completed" in line)
+    message = json.loads(line.removeprefix(b"data: "))
+    assert message["success"] is False
+    assert message["output"]["error"] == "upload the picture itself"
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "evil.example"}, 421),
+        ({"Host": "evil.example:7860"}, 421),
+        ({"Host": "127.0.0.1.evil.example"}, 421),
+        ({"Host": "192.168.0.1"}, 421),
+        ({"Host": ""}, 421),
+        ({"Host": "localhost:7860"}, 200),
+        ({"Host": "[::1]:7860"}, 200),
+        ({"Host": "localhost:7860", "Origin": "http://localhost:7860"}, 200),
+        ({"Origin": "https://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Host": "localhost:7860", "Origin": "http://localhost:80"}, 403),
+    ],
+)
+def test_other_names_and_other_sites_are_refused(address, headers, status):
+    for path in ("", "/config", "/gradio_api/info"):
+        assert get(f"{address}{path}", headers=headers)[0] == status
+
+
+def test_names_of_a_server_for_the_network():
+    for name in ("localhost", "127.0.0.1", "192.168.0.7", "fe80::1", gethostname().lower()):
+        assert is_own_name(name, "0.0.0.0")
+    assert is_own_name("stereo.lan", "stereo.lan")
+    for name in ("evil.example", "", "1.2.3.4.evil.example"):
+        assert not is_own_name(name, "0.0.0.0")
+
+
+def test_headers_of_proxies_are_not_reflected(address):
+    forged = {"X-Forwarded-Host": "evil.example", "X-Forwarded-Proto": "https"}
+    forged["Forwarded"] = "host=evil.example"
+    for path in ("", "/config"):
+        _, headers, body = get(f"{address}{path}", headers=forged)
+        assert b"evil.example" not in body
+        assert "evil.example" not in str(headers)
+
+
+def test_two_uploads_of_one_file_are_two_files(address):
+    first, second = (json.loads(upload(address, PICTURE)[2])[0] for _ in range(2))
+    assert first != second
+    Path(first).unlink()
+    assert Path(second).read_bytes() == PICTURE.tobytes()
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "/", "a/..", "x" * 300 + ".png"])
+def test_names_of_uploads_that_are_none(address, name):
+    status, _, body = upload(address, PICTURE, name)
+    assert status == 200
+    assert Path(json.loads(body)[0]).read_bytes() == PICTURE.tobytes()
 
 
 def test_the_folder_goes_with_the_server(config, monkeypatch, tmp_path):

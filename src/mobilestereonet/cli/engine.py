@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -213,7 +214,10 @@ class MatcherOptions(NetworkOptions):
         defaults = ("auto", "torch", "fp32", None)  # of one command or the other
         if chosen := [f"--{name}" for name, value in given.items() if value not in defaults]:
             library = "OpenCV" if self.model == "sgbm" else "ONNX Runtime"
-            raise InputError(f"{self.model} runs in {library} alone: leave {', '.join(chosen)} out")
+            warnings.warn(
+                f"{self.model} runs in {library} alone: {', '.join(chosen)} has no effect",
+                stacklevel=2,
+            )
 
     @property
     def config(self) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from typing import Annotated
 
 import typer
@@ -24,13 +23,12 @@ from mobilestereonet.cli.groups import with_options_of_groups
 from mobilestereonet.cli.models import models
 from mobilestereonet.cli.plot_run import plot_run
 from mobilestereonet.cli.predict import predict
+from mobilestereonet.cli.process import prepare_process, report
 from mobilestereonet.cli.rectify import rectify
 from mobilestereonet.cli.submit import submit
 from mobilestereonet.cli.train import train
 from mobilestereonet.cli.video import video
 from mobilestereonet.cli.web import web
-from mobilestereonet.errors import InputError
-from mobilestereonet.memory import keep_freed_memory
 
 app = typer.Typer(
     name="msnet",
@@ -39,6 +37,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+_DEBUG = "--debug"
 
 
 def _print_version(wanted: bool) -> None:
@@ -54,6 +55,9 @@ def common(
         typer.Option(
             "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option(_DEBUG, help="Print the traceback of an error as well.")
     ] = False,
 ) -> None:
     """Options of the program itself; `app` has the help text."""
@@ -83,15 +87,14 @@ app.add_typer(data)
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one line on stderr and exit code 2."""
-    for of_libraries in (DeprecationWarning, FutureWarning):
-        warnings.simplefilter("ignore", of_libraries)
-    # The message alone, without the line of code that gave it.
-    warnings.showwarning = lambda message, *_: print(f"msnet: {message}", file=sys.stderr)
-    keep_freed_memory()
+    """Run the command line; an error ends with one line on stderr.
+
+    Exit code 2 for bad input, 70 for what nobody foresaw. ``--debug`` may stand anywhere.
+    """
+    prepare_process()
+    arguments = [word for word in sys.argv[1:] if word != _DEBUG]
     try:
         with one_call():
-            app()
-    except (InputError, OSError) as error:
-        print(f"msnet: {error}".replace("\n", " "), file=sys.stderr)
-        sys.exit(2)
+            app(arguments, prog_name=app.info.name)
+    except Exception as error:
+        sys.exit(report(error, debug=_DEBUG in sys.argv))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import logging
 import threading
 import warnings
 from abc import abstractmethod
@@ -29,6 +30,8 @@ from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
+
+_LOG = logging.getLogger(__name__)
 
 CONVERSION_VERSION = 2
 """Part of every conversion's key in the cache.
@@ -181,6 +184,8 @@ class ConvertedEngine(NetworkEngine):
             checksum, model = content[:_CHECKSUM_SIZE], content[_CHECKSUM_SIZE:]
             if checksum == _checksum(model):
                 return self._load(model)
+        shape = "any size" if size is None else f"{size[0]}x{size[1]}"
+        _LOG.info("converting the network for %s, %s: up to a minute, once", self.name, shape)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the converters' own business
             try:

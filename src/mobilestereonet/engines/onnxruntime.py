@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,9 @@ from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
+
+# Read when the library is loaded: it reports to its makers unless told not to.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 _OPSET = 20
 _CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import warnings
 from collections.abc import Iterator
@@ -29,6 +30,8 @@ from mobilestereonet.export.pairs import calibration_pairs
 from mobilestereonet.export.pt2 import PT2
 from mobilestereonet.nets.model import StereoModel
 from mobilestereonet.timing import time_interleaved
+
+_LOG = logging.getLogger(__name__)
 
 FORMATS: dict[str, Format] = {
     format_.name: format_
@@ -123,6 +126,7 @@ def export_model(
         net, model, embedded=embedded, precision=precision, size=fixed, min_width=min_width
     )
     with _temporary(output) as path:
+        _LOG.info("%s: converting, which can take minutes", kind.name)
         run = _convert(kind, Job(network, fixed, precision, metadata, pairs), path)
         export = Export(
             output,
@@ -166,6 +170,7 @@ def _compared(export: Export, run: Run, net: StereoModel, kind: Format, precisio
     Raises:
         InputError: If they differ.
     """
+    _LOG.info("%s: running it and comparing it with torch", kind.name)
     baseline = EagerNetwork(net)
 
     def reference(left: Tensor, right: Tensor) -> Tensor:

@@ -37,12 +37,13 @@ def quantise(model: Any, pairs: Sequence[Pair], keep: Sequence[str]) -> Any:
     Returns:
         The quantised model.
     """
-    import nncf
 
     def feed(pair: Pair) -> Mapping[str, Any]:
         return {name: view.numpy() for name, view in zip(INPUTS, pair, strict=True)}
 
     with without_telemetry():
+        import nncf  # which keeps what it finds
+
         return nncf.quantize(
             model,
             nncf.Dataset(list(pairs), feed),

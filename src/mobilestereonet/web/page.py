@@ -42,7 +42,6 @@ def build_page(handlers: Handlers) -> gr.Blocks:
             with gr.Column(scale=3, min_width=320):
                 results, points = _results()
         for side, image in (("left", left), ("right", right)):
-            _refuse_addresses(image)
             event = image.upload(
                 handlers.upload_handler(side), image, image, preprocess=False, **_QUIET
             )
@@ -66,6 +65,9 @@ def build_page(handlers: Handlers) -> gr.Blocks:
         # in gradio 6.31). Nobody who does not look at the points waits for them, either.
         points.select(handlers.cloud, None, results[4], api_visibility="private")
         page.unload(handlers.leave)
+    # gradio looks for files in whatever is sent to a component, be it a number.
+    for block in page.blocks.values():
+        _refuse_addresses(block)
     page.queue(max_size=config.limits.waiting, default_concurrency_limit=1, api_open=False)
     return page
 
@@ -80,16 +82,16 @@ _SHOW_RESULTS = """(...inputs) => {
 _QUIET: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
 
 
-def _refuse_addresses(image: Any) -> None:
+def _refuse_addresses(block: Any) -> None:
     """Keep gradio from fetching a web address that is sent in place of an upload's path."""
-    move = image.async_move_resource_to_block_cache
+    move = block.async_move_resource_to_block_cache
 
     async def move_local(path: Any) -> Any:
         if "://" in str(path):
             raise gr.Error("upload the picture itself", print_exception=False)
         return await move(path)
 
-    image.async_move_resource_to_block_cache = move_local
+    block.async_move_resource_to_block_cache = move_local
 
 
 def _pair_inputs(config: PageConfig) -> tuple[Any, Any, Any]:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
+from secrets import token_bytes
+from socket import gethostname
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import urlsplit
 
-from starlette.datastructures import MutableHeaders
+from gradio import route_utils
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.responses import PlainTextResponse
 
@@ -30,12 +35,27 @@ _POLICY = (
 )
 
 
-class Guard:
-    """Middleware that blocks the parts of gradio that the page does not use."""
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_FROM_PROXIES = (b"forwarded", b"x-forwarded-host", b"x-forwarded-proto", b"x-forwarded-port")
+"""Headers that would let a visitor choose the addresses in gradio's answers."""
 
-    def __init__(self, app: Any) -> None:
-        """Wrap an ASGI application."""
+
+class Guard:
+    """Middleware that blocks what the page does not need.
+
+    Those are the other parts of gradio, names of this machine that `is_own_name` does not know,
+    and requests of other sites' pages.
+    """
+
+    def __init__(self, app: Any, host: str = _LOOPBACK[0]) -> None:
+        """Wrap an ASGI application.
+
+        Args:
+            app: The application.
+            host: Address that the server listens at.
+        """
         self._app = app
+        self._host = host
 
     async def __call__(
         self, scope: Any, receive: Any, send: Callable[[Any], Awaitable[None]]
@@ -50,10 +70,53 @@ class Guard:
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 
-        path = scope.get("path", "")
-        refused = path.startswith("/gradio_api") and not _USED.match(path)
-        app = PlainTextResponse("not here", status_code=404) if refused else self._app
-        await app(scope, receive, send_with_policy)
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in _FROM_PROXIES]
+        refusal = self._refusal(scope["path"], Headers(scope=scope))
+        await (refusal or self._app)(scope, receive, send_with_policy)
+
+    def _refusal(self, path: str, headers: Headers) -> PlainTextResponse | None:
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not is_own_name(urlsplit(f"//{host}").hostname or "", self._host):
+            return PlainTextResponse("this server has another name", status_code=421)
+        if origin is not None and origin.partition("://")[2] != host:
+            return PlainTextResponse("this is for the page itself", status_code=403)
+        if path.startswith("/gradio_api") and not _USED.match(path):
+            return PlainTextResponse("not here", status_code=404)
+        return None
+
+
+def is_own_name(name: str, host: str) -> bool:
+    """Whether a name in a request is one of the server's.
+
+    A foreign site can let its own name point to this machine (DNS rebinding): a browser would then
+    take its scripts for the page's.
+
+    Args:
+        name: Host that the request names, without the port.
+        host: Address that the server listens at. For other ones than loopback, addresses in digits
+            count as well, which no foreign name can be, and the machine's name.
+    """
+    if name in (*_LOOPBACK, host.lower()):
+        return True
+    if host in _LOOPBACK:
+        return False
+    with suppress(ValueError):
+        return bool(ip_address(name))
+    own = gethostname().lower()
+    return name in (own, own.partition(".")[0], f"{own}.local")
+
+
+class OwnUpload(route_utils.GradioUploadFile):
+    """Upload in a folder of its own: gradio's is one for all visitors who upload the same."""
+
+    def __init__(self, file: Any, *, filename: str | None = None, **others: Any) -> None:
+        """Begin an upload; a name that is none is replaced."""
+        name = Path(filename or "").name
+        super().__init__(file, filename=filename if name.strip(".") else "picture", **others)
+        self.sha.update(token_bytes(32))
 
 
 @contextmanager
@@ -73,7 +136,8 @@ def running(
     Raises:
         OSError: If the port is not free.
     """
-    before = os.environ.get("GRADIO_TEMP_DIR")
+    before, upload = os.environ.get("GRADIO_TEMP_DIR"), route_utils.GradioUploadFile
+    route_utils.GradioUploadFile = OwnUpload  # type: ignore[misc]
     with TemporaryDirectory(prefix="msnet-web-") as folder:
         os.environ["GRADIO_TEMP_DIR"] = folder
         handlers = Handlers(config, Path(folder))
@@ -90,13 +154,14 @@ def running(
                 run_history=False,
                 enable_monitoring=False,
                 footer_links=[],
-                app_kwargs={"middleware": [Middleware(Guard)], "docs_url": None},
+                app_kwargs={"middleware": [Middleware(Guard, host=host)], "docs_url": None},
                 **page_style(),
             )
             yield address
         finally:
             handlers.sessions.close_all()
             page.close(verbose=False)
+            route_utils.GradioUploadFile = upload  # type: ignore[misc]
             if before is None:
                 del os.environ["GRADIO_TEMP_DIR"]
             else:

@@ -39,8 +39,7 @@ class UploadLimits:
 def admit(upload: Path, uploads: Path, session: Session, side: str, limits: UploadLimits) -> Path:
     """Copy an uploaded picture into a session, or delete it. It is not decoded yet.
 
-    A good upload stays until gradio deletes it: gradio names uploads by their content, so that
-    the same picture of two visitors is one file.
+    A good upload stays until gradio deletes it.
 
     Args:
         upload: Where the browser says that its upload is: not to be trusted.

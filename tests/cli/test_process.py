@@ -1,0 +1,83 @@
+"""The last resort of the command line, names of files in any encoding, and what is sent nowhere."""
+
+import io
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mobilestereonet.cli import process
+from mobilestereonet.data.files import write_png
+
+PAIR = ("left.png", "right.png")
+
+
+@pytest.fixture
+def pair(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in PAIR:
+        write_png(name, np.random.default_rng(0).integers(0, 255, (24, 40), dtype=np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (KeyError("x\n\x1b[1my"), 70, "a fault of msnet itself, KeyError: "),
+        (RecursionError("too deep"), 70, "please report it"),
+        (MemoryError(), 2, "not enough memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), 2, "--tile"),
+    ],
+)
+@pytest.mark.parametrize("debug", [False, True])
+def test_what_nobody_foresaw_is_one_line(msnet, pair, monkeypatch, error, code, words, debug):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr("mobilestereonet.inference.load_pair", fail)
+    ended, _, err = msnet("doctor", *PAIR, *["--debug"] * debug)
+    assert ended == code
+    assert words in err.splitlines()[-1] and err.splitlines()[-1].startswith("msnet: ")
+    assert ("Traceback" in err) == debug
+    assert debug or (err.count("\n") == 1 and "\x1b" not in err)
+
+
+def test_debug_may_stand_anywhere(msnet):
+    assert msnet("--debug", "models", "msnet4d")[2].startswith("Traceback")
+    assert "--debug" in msnet("--help")[1]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
+def test_names_that_the_terminal_lacks(msnet, pair, monkeypatch, encoding):
+    names = [os.fsdecode(b"\xff\xe9.png"), "\u6df1\u5ea6.png"]
+    for old, new in zip(PAIR, names, strict=True):
+        Path(old).rename(new)
+    out = io.TextIOWrapper(io.BytesIO(), encoding)
+    monkeypatch.setattr(sys, "stdout", out)
+    command = ("predict", *names, "-o", os.fsdecode(b"o\xff"), "--model", "sgbm")
+    for more in ((), ("--json",)):
+        assert msnet(*command, *more)[0] == 0
+    out.flush()
+    assert b"disparity.png" in out.buffer.getvalue()
+
+
+def test_options_without_effect_are_told(msnet, pair):
+    command = ("predict", *PAIR, "-o", "out", "--model", "sgbm")
+    code, _, err = msnet(*command, "--precision", "bf16", "--runtime", "openvino", "--threads", 3)
+    assert code == 0
+    assert "sgbm runs in OpenCV alone: --runtime, --precision, --threads has no effect" in err
+
+
+def test_what_the_environment_says_stays(monkeypatch):
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
+    process.prepare_process()
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+    assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
+
+
+def test_the_engines_report_to_nobody():
+    from mobilestereonet.engines import onnxruntime  # noqa: F401
+
+    assert os.environ["ORT_DISABLE_TELEMETRY"] == "1"
