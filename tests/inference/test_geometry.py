@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mobilestereonet import Calibration, InputError, StereoResult
+from mobilestereonet.inference.filter import MetricFilter
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,
@@ -76,6 +77,26 @@ def test_which_pixels_give_a_point(result):
     np.testing.assert_allclose(near.points[:, 2], 1)
     sure = result.points(CALIBRATION, min_confidence=0.5, edges=True)
     assert len(sure.points) == 16 - 2  # the lower half; two of the diagonal lie in it
+
+
+def test_depth_and_points_pass_one_filter(result):
+    # Without limits: all but what the left-right check found.
+    np.testing.assert_array_equal(result.depth(CALIBRATION) > 0, ~result.occluded)
+    for limits, kept in (
+        (MetricFilter(edges=False), 32 - 2 * 4 - 3),
+        (MetricFilter(max_depth=4.0, edges=True), 16),
+        (MetricFilter(min_confidence=0.5, edges=True), 16 - 2),
+        (MetricFilter(0.5, 4.0, edges=False), 6),
+    ):
+        filtered = replace(result, filter=limits)
+        depth = filtered.depth(CALIBRATION)
+        assert np.count_nonzero(depth) == len(filtered.points(CALIBRATION).points) == kept
+        assert np.isfinite(depth).all()
+    with pytest.raises(InputError, match="needs a matcher with confidence=True"):
+        replace(result, confidence=None, filter=MetricFilter(0.5)).depth(CALIBRATION)
+    for bad in ({"min_confidence": 2}, {"max_depth": 0}, {"max_depth": np.nan}):
+        with pytest.raises(InputError, match="must be"):
+            MetricFilter(**bad)
 
 
 def test_ply_is_read_by_another_reader(tmp_path):

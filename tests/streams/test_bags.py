@@ -240,10 +240,6 @@ def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
             "run.mcap: it would replace its source",
         ),
         (("run.mcap", *topics(*VIEWS), "--bag", "out.db3"), "bags are written as .mcap, .bag"),
-        (
-            ("run.mcap", *topics(*VIEWS), "--max-depth", "3"),
-            "--max-depth is for the points of --bag",
-        ),
     ],
 )
 def test_bad_input_ends_with_one_line(rosbags, msnet, tmp_path, monkeypatch, arguments, message):

@@ -10,6 +10,7 @@ import typer
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import MAP_KINDS, one_of
 from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import OutputFolder
 from mobilestereonet.cli.sinks import SinkOptions
 
@@ -48,6 +49,7 @@ def batch(
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
     sinks: SinkOptions,
     options: MatcherOptions,
+    filters: FilterOptions,
     cameras: CalibrationOptions,
 ) -> None:
     """Match folders of pairs; --skip-existing goes on where it was stopped.
@@ -57,6 +59,7 @@ def batch(
     import sys
     from contextlib import ExitStack
     from dataclasses import replace
+    from functools import partial
 
     from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
@@ -69,6 +72,7 @@ def batch(
         )
     # A cluster's processes have working folders of their own.
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
+    filters.require(files.needs_calibration or bool(sinks.given))
     calibration = cameras.read()
     pairs = find_pairs(left, right)
     for pair in pairs:
@@ -88,14 +92,14 @@ def batch(
     make_folder(output)
     summary, stack = "", ExitStack()
     if ray is None:
-        matcher = options.open_matcher()
+        matcher = filters.open_matcher(options)
         summary = f" ({matcher.summary})"
         statuses = match_pairs(todo, matcher, files, sinks.open(stack, matcher))
     else:
         statuses = match_on_ray(
             todo,
             files,
-            options.open_matcher,
+            partial(filters.open_matcher, options),
             address=ray,
             workers=workers,
             cpus=cpus,

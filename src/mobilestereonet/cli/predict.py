@@ -10,6 +10,7 @@ import typer
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, RightView
 from mobilestereonet.cli.sinks import Rerun
 from mobilestereonet.errors import InputError
@@ -24,10 +25,7 @@ def predict(
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
     ] = False,
-    left_right: Annotated[
-        bool,
-        typer.Option("--left-right", help="The right view's disparity, and what is occluded."),
-    ] = False,
+    filters: FilterOptions,
     cameras: CalibrationOptions,
     depth: Annotated[
         list[Path] | None,
@@ -44,15 +42,6 @@ def predict(
         ),
     ] = None,
     rerun: Rerun = None,
-    max_depth: Annotated[
-        float, typer.Option(min=0, help="Leave farther points out, in metres.")
-    ] = float("inf"),
-    min_confidence: Annotated[
-        float, typer.Option(min=0, max=1, help="Leave less confident points out.")
-    ] = 0.0,
-    keep_edges: Annotated[
-        bool, typer.Option("--keep-edges", help="Keep points at depth edges, which float.")
-    ] = False,
     tile: Annotated[
         tuple[int, int] | None,
         typer.Option(help="Height and width of tiles. Default: 1088 1920, above Full HD."),
@@ -69,12 +58,7 @@ def predict(
         raise InputError("depth and points need --calib FILE, or --focal and --baseline")
     if cameras.given and not (depth_files or point_files or rerun):
         raise InputError("a calibration is for --depth, --points or --rerun FILE: add one of them")
-    too_far = max_depth < float("inf") and rerun is None
-    if not point_files and (min_confidence > 0 or too_far or keep_edges):
-        raise InputError(
-            "--min-confidence, --max-depth and --keep-edges are for --points FILE: add it, or "
-            "leave them out"
-        )
+    filters.require(bool(depth_files or point_files or rerun))
 
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
@@ -88,12 +72,8 @@ def predict(
     pair = load_pair(left, right)
     if calibration is not None:
         calibration.require_size(pair.width, pair.height)
-    matcher = options.open_matcher(
-        tile=tile or "auto",
-        confidence=confidence or min_confidence > 0,
-        left_right=left_right,
-    )
-    log = None if rerun is None else RerunLog(rerun, max_depth=max_depth)
+    matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
+    log = None if rerun is None else RerunLog(rerun)
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)
     result = matcher.match(pair)
@@ -107,9 +87,7 @@ def predict(
             write_depth(file, metres)
             _list(files, f"depth{file.suffix}", file)
     if calibration is not None and point_files:
-        cloud = result.points(
-            calibration, max_depth=max_depth, min_confidence=min_confidence, edges=keep_edges
-        )
+        cloud = result.points(calibration)
         for file in point_files:
             cloud.save(file)
             _list(files, f"points{file.suffix}", file)

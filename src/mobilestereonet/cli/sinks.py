@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from mobilestereonet.cli.early import BAG_ENDINGS, ends_in
-from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
     from mobilestereonet.inference import StereoMatcher
@@ -45,11 +44,7 @@ class TopicOptions:
 
 @dataclass(frozen=True)
 class SinkOptions:
-    """Options that name files to which the results of many frames go together.
-
-    Raises:
-        InputError: If an option has nothing to act on.
-    """
+    """Options that name files to which the results of many frames go together."""
 
     bag: Annotated[
         Path | None,
@@ -60,15 +55,6 @@ class SinkOptions:
         ),
     ] = None
     rerun: Rerun = None
-    max_depth: Annotated[
-        float, typer.Option(min=0, help="Leave farther points out, in metres.")
-    ] = float("inf")
-
-    def __post_init__(self) -> None:
-        if not self.given and self.max_depth < float("inf"):
-            raise InputError(
-                "--max-depth is for the points of --bag or --rerun: add one, or leave it out"
-            )
 
     @property
     def given(self) -> list[str]:
@@ -93,10 +79,10 @@ class SinkOptions:
         sinks: list[Sink] = []
         if self.bag is not None:
             searched = matcher.engine.max_disparity
-            bag = BagFile(self.bag, searched, topics=topics, max_depth=self.max_depth)
+            bag = BagFile(self.bag, searched, topics=topics)
             sinks.append(stack.enter_context(bag).write)
         if self.rerun is not None:
-            log = RerunLog(self.rerun, max_depth=self.max_depth)
+            log = RerunLog(self.rerun)
             sinks.append(stack.enter_context(log).write)
         if sinks:
             matcher.confidence = matcher.engine.has_confidence

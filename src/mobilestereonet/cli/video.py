@@ -13,6 +13,7 @@ import typer
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.sinks import SinkOptions, TopicOptions
 from mobilestereonet.errors import InputError
 
@@ -72,6 +73,7 @@ def video(
     topics: TopicOptions,
     sinks: SinkOptions,
     options: MatcherOptions,
+    filters: FilterOptions,
     cameras: CalibrationOptions,
 ) -> None:
     """Match a video, a camera, a bag or an image sequence. Ctrl-C ends it; what there is stays."""
@@ -83,6 +85,12 @@ def video(
         raise InputError("--resume needs --frames FOLDER, where the frames' maps are kept")
     if frames is None and not sinks.given and cameras.given:
         raise InputError("depth needs --frames FOLDER, --bag or --rerun: a video does not show it")
+    filters.require(frames is not None or bool(sinks.given))
+    if resume and (filters.min_confidence > 0 or filters.left_right):
+        raise InputError(
+            "--resume takes disparities from files, which have no confidence and no right view: "
+            "leave out --min-confidence and --left-right, or start anew"
+        )
     if hz is not None and (options.quality is not None or not options.is_default):
         raise InputError(
             f"--hz {hz:g} chooses the network: leave out --quality, --model and --weights"
@@ -101,9 +109,6 @@ def video(
         check_video_file(output)
         note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
         check_outputs(output)
-        make_folder(output.parent)
-    if frames is not None:
-        make_folder(frames)
     for source in (left, right or left):
         for path in map(str, sinks.given):
             if Path(source.removeprefix("file://")).resolve() == Path(path).resolve():
@@ -111,10 +116,13 @@ def video(
     stream = open_stream(left, right, fps, **asdict(topics))
     calibration = calibration or stream.calibration
     if hz is None:
-        matcher = options.open_matcher()
+        matcher = filters.open_matcher(options)
     else:
-        matcher, stream = _matcher_for_rate(hz, stream, options)
+        matcher, stream = _matcher_for_rate(hz, stream, options, filters)
     kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
+    for folder in (frames, output and output.parent):
+        if folder is not None:
+            make_folder(folder)
     started = time.perf_counter()
     stop = Event()
     with ExitStack() as stack, progress_bar("frames") as progress, sigint_sets_event(stop):
@@ -149,7 +157,7 @@ def video(
 
 
 def _matcher_for_rate(
-    hz: float, stream: Stream, options: MatcherOptions
+    hz: float, stream: Stream, options: MatcherOptions, filters: FilterOptions
 ) -> tuple[StereoMatcher, Stream]:
     """The best quality level that keeps up with a rate, which it says, and the whole stream."""
     from mobilestereonet.inference.rate import choose_quality
@@ -161,7 +169,7 @@ def _matcher_for_rate(
     pair = frame.pair
 
     def open_level(name: str, scale: float | None) -> StereoMatcher:
-        return replace(options, quality=name).open_matcher(scale=scale)
+        return filters.open_matcher(replace(options, quality=name), scale=scale)
 
     matcher, seconds = choose_quality(pair, hz, open_level)
     slow = "" if seconds <= 1 / hz else f", the fastest here: too slow for {hz:g}"

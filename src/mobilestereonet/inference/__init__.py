@@ -1,6 +1,7 @@
 """Inference: from a pair of images to disparity, depth and points."""
 
 from mobilestereonet.inference.checks import check_pair
+from mobilestereonet.inference.filter import MetricFilter
 from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.inference.matcher import StereoMatcher
@@ -17,6 +18,7 @@ __all__ = [
     "Finding",
     "ImageLike",
     "Mesh",
+    "MetricFilter",
     "PointCloud",
     "Quality",
     "RunInfo",

@@ -17,6 +17,7 @@ from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.scaled import ScaledEngine, check_scale
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.checks import quick_checks
+from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
 from mobilestereonet.inference.pair import (
     ImageLike,
     StereoPair,
@@ -43,11 +44,13 @@ class StereoMatcher:
     Attributes:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
+        filter: Which pixels of its results have a depth.
         quality: Name of the quality level that it was made by, see `QUALITIES`; None for others,
             and for levels with other settings than their own.
     """
 
     engine: Engine
+    filter: MetricFilter = NO_LIMITS
     quality: str | None = None
 
     def __init__(
@@ -372,6 +375,7 @@ class StereoMatcher:
             StereoResult(
                 left=pair.left_image,
                 valid=np.isfinite(maps["disparity"][index]),
+                filter=self.filter,
                 findings=tuple(quick_checks(pair.left_image, pair.right_image)),
                 info=info,
                 **{name: map_[index] for name, map_ in maps.items()},

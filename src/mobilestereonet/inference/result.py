@@ -17,6 +17,7 @@ from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
 from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.geometry import (
     PointCloud,
@@ -105,6 +106,7 @@ class StereoResult:
             the pixel, or the match is wrong; None without ``right_disparity``.
         findings: What the quick checks say about the pair, see `quick_checks`.
         info: Model, engine, precision and time; None for a result that was read from files.
+        filter: Which pixels have a depth, besides those that fail the left-right check.
     """
 
     left: Picture
@@ -115,6 +117,7 @@ class StereoResult:
     occluded: Mask | None = None
     findings: tuple[Finding, ...] = ()
     info: RunInfo | None = None
+    filter: MetricFilter = NO_LIMITS
 
     def __repr__(self) -> str:
         height, width = self.disparity.shape
@@ -153,11 +156,12 @@ class StereoResult:
 
         Returns:
             (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is
-            where ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
+            where ``valid`` is False, the disparity (plus ``doffs``) is below 1/256 px, the
+            left-right check failed, or the ``filter`` leaves the pixel out.
 
         Raises:
             InputError: If the calibration is known to be of another size, or there is none, or
-                there are two.
+                there are two; or if the filter needs a confidence that is not known.
         """
         if calibration is not None and (focal is not None or baseline is not None or doffs):
             raise InputError("depth takes a calibration, or focal and baseline: leave one out")
@@ -167,7 +171,7 @@ class StereoResult:
                     "depth needs a calibration, or focal= (px) and baseline= (m), both of them"
                 )
             calibration = Calibration(focal=focal, baseline=baseline, doffs=doffs)
-        return depth_from_disparity(self.disparity, self.valid, calibration)
+        return self._depth(calibration, edges=True)
 
     def points(
         self,
@@ -195,10 +199,8 @@ class StereoResult:
             InputError: If the calibration is known to be of another size, or ``min_confidence`` is
                 asked for where the confidence is not known.
         """
-        kept = self._kept_depth(calibration, max_depth, min_confidence)
-        if not edges:
-            kept = np.where(depth_edges(self.disparity, self.valid), np.float32(0), kept)
-        return point_cloud(kept, self.left, calibration)
+        depth = self._depth(calibration, min_confidence, max_depth, edges)
+        return point_cloud(depth, self.left, calibration)
 
     def mesh(
         self,
@@ -226,24 +228,37 @@ class StereoResult:
         """
         if step < 1:
             raise InputError(f"step must be 1 or more, got {step}")
-        points = point_map(self._kept_depth(calibration, max_depth, min_confidence), calibration)
+        points = point_map(
+            self._depth(calibration, min_confidence, max_depth, edges=True), calibration
+        )
         return surface(points, self.disparity, self.left, step=step, edges=edges)
 
-    def _kept_depth(
-        self, calibration: Calibration, max_depth: float, min_confidence: float
+    def _depth(
+        self,
+        calibration: Calibration,
+        min_confidence: float = 0.0,
+        max_depth: float = math.inf,
+        edges: bool = False,
     ) -> FloatMap:
-        """Depth in metres, 0 where it is not known, too far, or not to be trusted."""
-        if min_confidence > 0 and self.confidence is None:
-            raise InputError(
-                f"min_confidence {min_confidence:g} needs a matcher with confidence=True"
-            )
-        depth = self.depth(calibration)
-        kept = depth <= max_depth
-        if self.confidence is not None:
-            kept &= self.confidence >= min_confidence
+        """Depth in metres, 0 where it is not known, or does not pass the filter and these limits.
+
+        Raises:
+            InputError: If the confidence counts and is not known.
+        """
+        limits = self.filter.stricter(min_confidence, max_depth, edges)
+        kept = self.valid
+        if limits.min_confidence > 0:
+            if self.confidence is None:
+                raise InputError(
+                    f"min_confidence {limits.min_confidence:g} needs a matcher with confidence=True"
+                )
+            kept = kept & (self.confidence >= limits.min_confidence)
         if self.occluded is not None:
-            kept &= ~self.occluded
-        return np.where(kept, depth, np.float32(0))
+            kept = kept & ~self.occluded
+        if not limits.edges:
+            kept = kept & ~depth_edges(self.disparity, self.valid)
+        depth = depth_from_disparity(self.disparity, kept, calibration)
+        return np.where(depth <= limits.max_depth, depth, np.float32(0))
 
     def to_open3d(self, calibration: Calibration, **limits: Any) -> Any:
         """The points as ``open3d.geometry.PointCloud``, in the left camera's frame.

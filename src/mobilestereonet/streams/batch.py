@@ -96,7 +96,7 @@ def match_frames(
         if frame.pair is None:
             yield frame, None
         elif finished is not None and finished.matched(frame.name):
-            yield frame, finished.load(frame.name, frame.pair)
+            yield frame, replace(finished.load(frame.name, frame.pair), filter=matcher.filter)
         else:
             try:
                 yield frame, matcher.match(frame.pair)

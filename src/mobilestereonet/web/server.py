@@ -109,7 +109,7 @@ def is_own_name(name: str, host: str) -> bool:
     return name in (own, own.partition(".")[0], f"{own}.local")
 
 
-class OwnUpload(route_utils.GradioUploadFile):
+class OwnUpload(route_utils.GradioUploadFile):  # type: ignore[misc]
     """Upload in a folder of its own: gradio's is one for all visitors who upload the same."""
 
     def __init__(self, file: Any, *, filename: str | None = None, **others: Any) -> None:
@@ -137,7 +137,7 @@ def running(
         OSError: If the port is not free.
     """
     before, upload = os.environ.get("GRADIO_TEMP_DIR"), route_utils.GradioUploadFile
-    route_utils.GradioUploadFile = OwnUpload  # type: ignore[misc]
+    route_utils.GradioUploadFile = OwnUpload
     with TemporaryDirectory(prefix="msnet-web-") as folder:
         os.environ["GRADIO_TEMP_DIR"] = folder
         handlers = Handlers(config, Path(folder))
@@ -161,7 +161,7 @@ def running(
         finally:
             handlers.sessions.close_all()
             page.close(verbose=False)
-            route_utils.GradioUploadFile = upload  # type: ignore[misc]
+            route_utils.GradioUploadFile = upload
             if before is None:
                 del os.environ["GRADIO_TEMP_DIR"]
             else:
