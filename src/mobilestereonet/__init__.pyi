@@ -1,4 +1,5 @@
 from .data.calibration import read_calibration as read_calibration
+from .data.rig import Rig as Rig
 from .data.sample import Calibration as Calibration
 from .data.sample import StereoSample as StereoSample
 from .errors import InputError as InputError

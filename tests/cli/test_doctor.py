@@ -65,8 +65,8 @@ def test_rectify(msnet, folder):
     ("options", "message"),
     [
         ((), "60 m is implausible"),
-        (("--unit", "inch"), "--unit inch: there are m, mm"),
-        (("--unit", "mm", "--calib", "left.png"), "left.png: not a camera file"),
+        (("--unit", "inch"), "--unit inch: there are m, cm, mm"),
+        (("--unit", "mm", "--calib", "left.png"), "left.png: unknown calibration format"),
         (("--unit", "mm", "--calib", "none.yml"), "none.yml: no such file"),
         (("--unit", "mm", "--calib", "swapped.yml"), "are the cameras swapped"),
     ],

@@ -10,9 +10,10 @@ import pytest
 
 from mobilestereonet.cli import early
 from mobilestereonet.cli.early import check_registered, check_trained
-from mobilestereonet.data import camera_files, scanners
+from mobilestereonet.data import scanners
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.depth_files import DEPTH_FORMATS
+from mobilestereonet.data.rig import told as rig_told
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import BENCHMARKS
@@ -51,8 +52,8 @@ NETWORK += ("--model baseline2d", "--model my_net.py:MyNet", "--weights absent.c
 NETWORK += ("--model sgbm --weights absent.ckpt", "--model my_net.py:", "--set net.colour=red")
 ENGINE = ("--threads 0", "--device cuda:x")
 MATCHER = (*NETWORK, *ENGINE, "--runtime openvin", "--precision fp64")
-CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit cm")
-CALIBRATION += ("--calib-left absent.txt", "--focal 900 --calib left.png")
+CALIBRATION = ("--calib absent.txt", "--focal 900", "--baseline 0.2", "--doffs 3", "--unit inch")
+CALIBRATION += ("--fov 60", "--focal 900 --calib left.png")
 TRAINING = ("--precision fp16", "--accelerator gpus", "--recipe procedurel", "--set lr")
 TRAINING += ("--recipe absent/recipe.json", "--set colour=red", "--set augment.colour=red")
 TRAINING += ("--root absent", "--textures absent", "--workers -1")
@@ -69,7 +70,7 @@ MISTAKES = {
     "predict left.png absent.png -o out": ("",),
     f"doctor {PAIR}": ("--max-disparity 0",),
     "doctor absent.png absent.png": ("",),
-    f"rectify {PAIR} -o out": ("--calib absent.yml", "--calib left.png --unit cm"),
+    f"rectify {PAIR} -o out": ("--calib absent.yml", "--calib left.png --unit inch"),
     "rectify absent.png absent.png --calib left.png -o out": ("",),
     "video left.mp4": (
         "",
@@ -175,7 +176,7 @@ def test_the_names_are_those_of_the_rooms():
     }
     assert set(early.TABLES) == set(ablate.TABLES)
     assert set(early.MAP_KINDS) == set(maps.MAP_KINDS)
-    assert set(early.UNITS) == set(camera_files._METRES)
+    assert tuple(rig_told.UNITS) == early.UNITS
     assert early.DEPTH_ENDINGS == DEPTH_FORMATS
     assert early.POINTS_ENDINGS == POINT_FORMATS
     assert early.VIDEO_ENDINGS == video_files.VIDEO_FORMATS

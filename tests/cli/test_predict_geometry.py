@@ -19,7 +19,8 @@ def folder(tmp_path):
         f"cam0={matrix.format(120)}\ncam1={matrix.format(125)}\ndoffs=5\nbaseline=100\n"
     )
     text = (tmp_path / "calib.txt").read_text()
-    (tmp_path / "half.txt").write_text(text + "width=120\nheight=60\n")
+    half = text.replace(" 60; 0", " 30; 0").replace("120;", "60;").replace("125;", "65;")
+    (tmp_path / "half.txt").write_text(half + "width=120\nheight=60\n")
     return tmp_path
 
 
@@ -59,18 +60,50 @@ def test_a_baseline_in_millimetres_is_asked_about(msnet, folder):
     assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres? 100 mm would be 0.1\n")
 
 
-def test_a_unit_without_effect_is_warned_of(msnet, folder):
+def test_the_unit_is_heard_and_warned_of_without_a_file(msnet, folder):
     numbers = ("--focal", 1000, "--baseline", 0.1, "--unit", "mm", "--depth", folder / "a.npy")
     code, _, err = predict(msnet, folder, *numbers)
     assert code == 0
-    assert err == (
-        "msnet: --unit is that of an OpenCV calibration, --calib FILE: it has no effect here\n"
-    )
+    assert err == ("msnet: --unit: of a calibration, --rig FILE, and without effect here\n")
     file = ("--calib", folder / "calib.txt", "--depth", folder / "b.npy")
-    code, _, err = predict(msnet, folder, *file, "--unit", "mm")
+    depths = {}
+    for unit in ("mm", "cm"):
+        assert predict(msnet, folder, *file, "--unit", unit)[0] == 0
+        depths[unit] = np.median(np.load(folder / "b.npy"))
+    assert depths["cm"] == pytest.approx(10 * depths["mm"])
+    code, _, err = predict(msnet, folder, *file, "--unit", "m")
+    assert code == 2
+    assert "a baseline of 100 m is implausible" in err and "--baseline 100" in err
+
+
+def test_a_field_of_view_is_told_to_be_assumed(msnet, folder):
+    numbers = ("--fov", 27, "--baseline", 0.1, "--doffs", 5, "--depth", folder / "depth.npy")
+    code, _, err = predict(msnet, folder, *numbers)
     assert code == 0
-    assert err.endswith("calib.txt: its format has a unit of its own: the unit mm has no effect\n")
-    assert predict(msnet, folder, *file)[2] == ""
+    assert err.startswith("msnet: assumed: square pixels, the principal point in the middle")
+    focal = 120 / np.tan(np.radians(13.5))
+    assert np.median(np.load(folder / "depth.npy")) == pytest.approx(focal * 0.1 / 25, rel=0.01)
+
+
+def test_raw_pictures_are_rectified_on_the_way(msnet, folder):
+    camera = np.array([[500.0, 0, 120], [0, 500, 60], [0, 0, 1]])
+    storage = cv2.FileStorage(str(folder / "rig.yml"), cv2.FILE_STORAGE_WRITE)
+    turned = cv2.Rodrigues(np.array([0, 0, 0.02]))[0]
+    distortion = np.array([-0.1, 0, 0, 0, 0])
+    values = {"M1": camera, "D1": distortion, "M2": camera, "D2": distortion, "R": turned}
+    for name, value in (values | {"T": np.array([-0.1, 0, 0])}).items():
+        storage.write(name, value)
+    storage.release()
+    depth = ("--depth", folder / "depth.npy")
+    assert predict(msnet, folder, "--rig", folder / "rig.yml", *depth)[0] == 0
+    rectified = folder / "rectified"
+    views = folder / "left.png", folder / "right.png"
+    assert msnet("rectify", *views, "--rig", folder / "rig.yml", "-o", rectified)[0] == 0
+    twice = ("--rig", rectified / "calib.txt", "--depth", rectified / "depth.npy")
+    views = rectified / "left.png", rectified / "right.png"
+    assert msnet("predict", *views, "-o", folder / "out", "--model", "sgbm", *twice)[0] == 0
+    once, again = np.load(folder / "depth.npy"), np.load(rectified / "depth.npy")
+    assert np.median(once) == pytest.approx(np.median(again), rel=0.01)
 
 
 def test_left_right(msnet, folder):
@@ -93,17 +126,21 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--depth", "d.npy"), "depth and points need --calib FILE, or --focal and --baseline"),
-        (("--points", "p.ply", "--baseline", 1), "--baseline needs --focal, too"),
-        (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "cm"), "There are m, mm"),
+        (("--depth", "d.npy"), "depth and points need --rig FILE, or --focal and --baseline"),
+        (("--points", "p.ply", "--baseline", 1), "--baseline needs --focal or --fov, too"),
+        (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "inch"), "there are m, cm, mm"),
         (("--points", "p.ply", "--focal", 500), "--focal needs --baseline, too"),
         (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),
         (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
-        (("--calib", "calib.txt", "--baseline", 1), "leave the options out"),
+        (("--calib", "calib.txt", "--focal", 1), "leave the options out"),
         (("--calib", "none.txt"), "none.txt: no such file"),
-        (("--calib", "calib.txt"), "a calibration is for --depth FILE or --points FILE"),
-        (("--depth", "d.npy", "--calib", "half.txt"), "of 120x60, these have 240x120"),
-        (("--depth", "d.npy", "--calib", "half.txt"), "by 2 (focal 1000, doffs 10)"),
+        (("--depth", "d.npy", "--calib", "calib.txt", "--baseline", 1), "--baseline says 1 m"),
+        (("--fov", 60, "--focal", 500), "two ways to say one thing"),
+        (("--depth", "d.npy", "--fov", 190, "--baseline", 1), "up to 170"),
+        (("--depth", "d.npy", "--fov", 60), "--fov needs --baseline, too"),
+        (("--depth", "d.npy", "--calib", "calib.txt", "--raw"), "about rectified pictures alone"),
+        (("--depth", "d.npy", "--calib", "half.txt"), "of pictures of 120x60, these have 240x120"),
+        (("--depth", "d.npy", "--calib", "half.txt"), "--resized says that they were only"),
         (("--min-confidence", 1), "--min-confidence is for depth and points: ask for some"),
         (("--max-depth", 9, "--drop-edges"), "--max-depth, --keep-edges is for depth and points"),
         (("--calib", "left.png", "--depth", "d.npy"), "left.png: unknown calibration format"),

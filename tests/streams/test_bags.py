@@ -193,7 +193,7 @@ def test_a_bag_that_fails_leaves_nothing(rosbags, msnet, tmp_path):
     new = "--bag", tmp_path / "out.mcap", "--calib", calibration
     code, _, err = msnet("video", bag, *topics(*VIEWS), *new, *SGBM)
     assert code == 2
-    assert "the calibration is of views of 8x8" in err
+    assert "of pictures of 8x8" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calib.txt", "run", "run.mcap"]
 
 

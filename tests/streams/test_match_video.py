@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,9 +11,11 @@ from noise_pairs import centre
 
 from extras import need_extra
 from mobilestereonet import StereoResult
-from mobilestereonet.data import Calibration
+from mobilestereonet.data import Calibration, Rig
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference import Rectifier
 from mobilestereonet.streams import MapFiles, Stream, match_video, open_stream
+from mobilestereonet.streams.stream import rectify_frames
 from mobilestereonet.streams.video import SmoothedRange
 
 
@@ -40,13 +43,17 @@ def test_the_range_of_colours_follows_slowly():
     assert colours.update(3, unknown) == values[-1]
 
 
+def rectified(stream, **values):
+    """The stream with a calibration."""
+    rectifier = Rectifier(Rig((Calibration(**values),)))
+    return replace(stream, frames=rectify_frames(stream.frames, rectifier))
+
+
 def test_each_frame_gets_its_own_map(sequence, matcher, tmp_path):
     maps = MapFiles(tmp_path / "maps", ("disparity.png", "depth.png"))
-    calibration = Calibration(focal=100, baseline=0.2)
     reported = []
-    stats = match_video(
-        opened(sequence), matcher, frames=maps, calibration=calibration, report=reported.append
-    )
+    stream = rectified(opened(sequence), focal=100, baseline=0.2)
+    stats = match_video(stream, matcher, frames=maps, report=reported.append)
     assert (stats.matched, stats.broken, stats.dropped) == (11, 0, 0)
     assert [frame.name for frame in reported] == [f"view_{index}" for index in range(11)]
     for index in range(11):
@@ -85,15 +92,15 @@ def test_a_stopped_sequence_goes_on_where_it_was(sequence, matcher, tmp_path):
 
     deeper = MapFiles(maps.folder, ("disparity.png", "depth.png"))
     matcher.count = 0
-    calibration = Calibration(focal=100.0, baseline=0.2)
-    match_video(opened(sequence), matcher, frames=deeper, resume=True, calibration=calibration)
+    camera = {"focal": 100.0, "baseline": 0.2}
+    match_video(rectified(opened(sequence), **camera), matcher, frames=deeper, resume=True)
     assert matcher.count == 0
     depths = {path.name for path in maps.folder.glob("*_depth.png")}
     assert len(depths) == 11
     kept = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
     assert after.items() <= kept.items()
     maps.path("view_3", "disparity.png").unlink()  # to be matched again, its depth too
-    match_video(opened(sequence), matcher, frames=deeper, resume=True, calibration=calibration)
+    match_video(rectified(opened(sequence), **camera), matcher, frames=deeper, resume=True)
     assert matcher.count == 1
     again = {path.name: path.stat().st_mtime_ns for path in maps.folder.iterdir()}
     changed = {name for name in kept if again[name] != kept[name]}

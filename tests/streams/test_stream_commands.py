@@ -155,7 +155,7 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
         ),
         (("batch", "left", "-o", "new"), "left: no sequences/"),
         (("batch", "left", "fewer", "-o", "new"), "its right view .*view_9.png is missing"),
-        (("batch", "left", "right", "-o", "new", "--write", "depth.png"), "depth needs --calib"),
+        (("batch", "left", "right", "-o", "new", "--write", "depth.png"), "depth needs --rig"),
         (
             ("batch", "left", "right", "-o", "new", "--write", "x.png"),
             "--write x.png: there are disparity.png",

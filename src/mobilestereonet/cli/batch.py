@@ -73,15 +73,13 @@ def batch(
     # A cluster's processes have working folders of their own.
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
     filters.require(files.needs_calibration or bool(sinks.given))
-    calibration = cameras.read()
+    rectifier = cameras.read()
     pairs = find_pairs(left, right)
     for pair in pairs:
         note_inputs(pair.left, pair.right)
     check_outputs(*(path for pair in pairs for path in files.paths(pair.name)))
-    if calibration is not None:
-        pairs = [replace(pair, calibration=calibration) for pair in pairs]
-    if files.needs_calibration and any(pair.calibration is None for pair in pairs):
-        raise InputError("depth needs --calib FILE, or --focal and --baseline")
+    if files.needs_calibration and not rectifier and any(p.calibration is None for p in pairs):
+        raise InputError("depth needs --rig FILE, or --focal and --baseline")
     cpus = options.threads or 1
     if ray is not None and options.model != "sgbm":
         options = replace(options, threads=cpus)  # a worker shares its machine
@@ -94,12 +92,13 @@ def batch(
     if ray is None:
         matcher = filters.open_matcher(options)
         summary = f" ({matcher.summary})"
-        statuses = match_pairs(todo, matcher, files, sinks.open(stack, matcher))
+        statuses = match_pairs(todo, matcher, files, sinks.open(stack, matcher), rectifier)
     else:
         statuses = match_on_ray(
             todo,
             files,
             partial(filters.open_matcher, options),
+            rectifier=rectifier,
             address=ray,
             workers=workers,
             cpus=cpus,

@@ -1,4 +1,4 @@
-"""Calibration as options of a command."""
+"""A stereo camera's geometry as options of a command."""
 
 from __future__ import annotations
 
@@ -14,84 +14,167 @@ from mobilestereonet.cli.early import UNITS, existing_file, one_of
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
-    from mobilestereonet.data.sample import Calibration
+    from mobilestereonet.inference.rectify import Rectifier
 
 
 @dataclass(frozen=True)
-class CalibrationOptions:
-    """Options that give the calibration of a rectified pair, as a file or as numbers.
+class RigFiles:
+    """Options that name the files of a rig, and say what they do not tell."""
 
-    Raises:
-        InputError: If they contradict each other, or one lacks another.
-    """
-
-    calib: Annotated[
-        Path | None,
+    rig: Annotated[
+        list[Path] | None,
         typer.Option(
-            help="Calibration of the rectified pair: Middlebury / ETH3D calib.txt, KITTI, ROS "
-            "camera_info of the right camera, or OpenCV (YAML, XML, JSON) with P1 and P2 or Q.",
+            "--rig",
+            "--calib",
+            help="Calibration of the cameras, of any kind: OpenCV, ROS camera_info, Kalibr, EuRoC, "
+            "ZED, OAK, RealSense, KITTI, Middlebury ... Repeat if it is in two files, the left "
+            "camera's first. Raw pictures are rectified.",
             callback=existing_file,
         ),
     ] = None
-    calib_left: Annotated[
-        Path | None,
+    numbers: Annotated[
+        tuple[int, int] | None,
         typer.Option(
-            help="ROS camera_info of the left camera, if it differs.", callback=existing_file
+            "--cameras",
+            help="Numbers of the left and the right camera in a file of several: 0 1 are KITTI's "
+            "grey ones.",
         ),
     ] = None
     unit: Annotated[
         str | None,
         typer.Option(
-            help="Unit of lengths in an OpenCV calibration: m or mm.", callback=one_of(UNITS)
+            help="Unit of the lengths in the file: m, cm or mm. Default: that of its format.",
+            callback=one_of(UNITS),
         ),
     ] = None
+    fisheye: Annotated[
+        bool | None,
+        typer.Option(
+            "--fisheye/--pinhole",
+            help="What four distortion coefficients are, if the file does not tell.",
+            show_default=False,
+        ),
+    ] = None
+    rectified: Annotated[
+        bool | None,
+        typer.Option(
+            "--rectified/--raw",
+            help="What the pictures are, if the file tells about both.",
+            show_default=False,
+        ),
+    ] = None
+    resized: Annotated[
+        bool,
+        typer.Option("--resized", help="The pictures were resized after the calibration."),
+    ] = False
+    baseline: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance between the cameras in metres, with --focal, or where a file has none "
+            "or an unusual one."
+        ),
+    ] = None
+
+    def read(self, *, whole: bool = False) -> Rectifier | None:
+        """Read the files; None if there are none. What had to be assumed is told.
+
+        Args:
+            whole: Rectified pictures keep all pixels, with black beyond the borders.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            InputError: If a file or a value is bad.
+        """
+        given = {"--cameras": self.numbers, "--unit": self.unit, "--fisheye": self.fisheye}
+        given |= {"--rectified": self.rectified, "--resized": self.resized or None}
+        if not self.rig:
+            if without := [name for name, value in given.items() if value is not None]:
+                warnings.warn(
+                    f"{', '.join(without)}: of a calibration, --rig FILE, and without effect here",
+                    stacklevel=2,
+                )
+            return None
+        from mobilestereonet.data.rig import Rig
+        from mobilestereonet.inference.rectify import Rectifier
+
+        rig = Rig.read(
+            self.rig,
+            unit=self.unit,
+            baseline=self.baseline,
+            cameras=self.numbers,
+            fisheye=self.fisheye,
+            rectified=self.rectified,
+        )
+        for note in rig.notes:
+            print(f"msnet: {rig.name}: {note}", file=sys.stderr)
+        return Rectifier(rig, whole=whole, resized=self.resized)
+
+
+@dataclass(frozen=True)
+class CalibrationOptions(RigFiles):
+    """Options that give the geometry of a pair, as files or as numbers.
+
+    Raises:
+        InputError: If they contradict each other, or one lacks another.
+    """
+
     focal: Annotated[float | None, typer.Option(help="Focal length in px, of square pixels.")] = (
         None
     )
-    baseline: Annotated[
-        float | None, typer.Option(help="Distance between the cameras in metres.")
-    ] = None
     doffs: Annotated[
         float, typer.Option(help="Principal points' difference, right minus left, in px.")
     ] = 0.0
+    fov: Annotated[
+        float | None,
+        typer.Option(help="Horizontal field of view in degrees, in place of --focal."),
+    ] = None
 
     def __post_init__(self) -> None:
-        numbers = {"focal": self.focal, "baseline": self.baseline}
-        given = [name for name, value in numbers.items() if value is not None]
-        if self.calib is not None and (given or self.doffs):
-            raise InputError(
-                f"{self.calib} has focal length, baseline and doffs: leave the options out"
-            )
-        if len(given) == 1:
-            (missing,) = numbers.keys() - given
-            raise InputError(f"--{given[0]} needs --{missing}, too")
-        if not self.given and (self.doffs or self.calib_left is not None):
-            raise InputError("a calibration needs --calib FILE, or both --focal and --baseline")
+        if self.focal is not None and self.fov is not None:
+            raise InputError("--focal and --fov are two ways to say one thing: leave one out")
+        if self.rig:
+            if self.focal is not None or self.fov is not None or self.doffs:
+                raise InputError(
+                    f"{self.rig[0]} has focal length, baseline and doffs: leave the options out, "
+                    "--focal, --fov and --doffs"
+                )
+            return
+        if self.given and self.baseline is None:
+            focal = "--fov" if self.focal is None else "--focal"
+            raise InputError(f"{focal} needs --baseline, too")
+        if self.baseline is not None and not self.given:
+            raise InputError("--baseline needs --focal or --fov, too")
+        if not self.given and self.doffs:
+            raise InputError("a calibration needs --rig FILE, or --focal and --baseline")
 
     @property
     def given(self) -> bool:
         """Whether there is a calibration."""
-        return self.calib is not None or self.focal is not None
+        return bool(self.rig) or self.focal is not None or self.fov is not None
 
-    def read(self) -> Calibration | None:
-        """Read the calibration; None if there is none.
+    def read(self, *, whole: bool = False) -> Rectifier | None:
+        """Read the geometry; None if there is none. What had to be assumed is told.
 
         Raises:
+            FileNotFoundError: If there is no such file.
             InputError: If a file or a value is bad.
         """
-        from mobilestereonet.data import Calibration, read_calibration
-        from mobilestereonet.data.camera_files import MAX_PLAUSIBLE_BASELINE_M
+        files = super().read(whole=whole)
+        if files is not None or self.baseline is None:
+            return files
+        from mobilestereonet.data import Calibration
+        from mobilestereonet.data.rig import Rig
+        from mobilestereonet.data.rig.assumed import AssumedRig
+        from mobilestereonet.data.rig.told import MAX_BASELINE_M
+        from mobilestereonet.inference.rectify import Rectifier
 
-        if self.unit is not None and self.calib is None:
-            warnings.warn(
-                "--unit is that of an OpenCV calibration, --calib FILE: it has no effect here",
-                stacklevel=2,
-            )
-        if self.calib is not None:
-            return read_calibration(self.calib, left=self.calib_left, unit=self.unit)
-        if self.focal is None or self.baseline is None:
-            return None
-        if self.baseline > MAX_PLAUSIBLE_BASELINE_M:
+        if self.baseline > MAX_BASELINE_M:
             say = f"is it in metres? {self.baseline:g} mm would be {self.baseline / 1000:g}"
             print(f"msnet: a baseline of {self.baseline:g} m: {say}", file=sys.stderr)
-        return Calibration(focal=self.focal, baseline=self.baseline, doffs=self.doffs)
+        if self.focal is None:
+            assert self.fov is not None
+            assumed = AssumedRig.of_field_of_view(self.fov, self.baseline, self.doffs)
+            print(f"msnet: {assumed.assumption}", file=sys.stderr)
+            return Rectifier(assumed)
+        calibration = Calibration(focal=self.focal, baseline=self.baseline, doffs=self.doffs)
+        return Rectifier(Rig((calibration,), "the calibration"))

@@ -61,7 +61,7 @@ MAP_KINDS = (
 )
 """Maps of ``msnet batch``."""
 
-UNITS = ("m", "mm")
+UNITS = ("m", "cm", "mm")
 """Units of lengths in a calibration."""
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")

@@ -55,8 +55,8 @@ def predict(
 
     depth_files, point_files = depth or [], points or []
     if not cameras.given and (depth_files or point_files):
-        raise InputError("depth and points need --calib FILE, or --focal and --baseline")
-    if cameras.given and not (depth_files or point_files or rerun):
+        raise InputError("depth and points need --rig FILE, or --focal and --baseline")
+    if cameras.given and not (cameras.rig or depth_files or point_files or rerun):
         raise InputError("a calibration is for --depth, --points or --rerun FILE: add one of them")
     filters.require(bool(depth_files or point_files or rerun))
 
@@ -68,10 +68,11 @@ def predict(
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
     check_outputs(*maps, *depth_files, *point_files)
-    calibration = cameras.read()
+    rectifier = cameras.read()
     pair = load_pair(left, right)
-    if calibration is not None:
-        calibration.require_size(pair.width, pair.height)
+    if rectifier is not None:
+        pair = rectifier.pair(pair)
+    calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
     log = None if rerun is None else RerunLog(rerun)
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:

@@ -83,7 +83,7 @@ def video(
         raise InputError("--beside needs --output VIDEO, whose pictures it widens")
     if frames is None and resume:
         raise InputError("--resume needs --frames FOLDER, where the frames' maps are kept")
-    if frames is None and not sinks.given and cameras.given:
+    if frames is None and not sinks.given and cameras.given and not cameras.rig:
         raise InputError("depth needs --frames FOLDER, --bag or --rerun: a video does not show it")
     filters.require(frames is not None or bool(sinks.given))
     if resume and (filters.min_confidence > 0 or filters.left_right):
@@ -102,9 +102,10 @@ def video(
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.interruption import sigint_sets_event
     from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
+    from mobilestereonet.streams.stream import rectify_frames
     from mobilestereonet.streams.video_files import check_video_file
 
-    calibration = cameras.read()
+    rectifier = cameras.read()
     if output is not None:
         check_video_file(output)
         note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
@@ -114,12 +115,16 @@ def video(
             if Path(source.removeprefix("file://")).resolve() == Path(path).resolve():
                 raise InputError(f"{path}: it would replace its source; choose another name")
     stream = open_stream(left, right, fps, **asdict(topics))
-    calibration = calibration or stream.calibration
+    if rectifier is not None:
+        if stream.calibration is not None and rectifier.rectifies:
+            raise InputError(f"{left} tells how its pictures are rectified: leave --rig out")
+        stream = replace(stream, frames=rectify_frames(stream.frames, rectifier))
     if hz is None:
         matcher = filters.open_matcher(options)
     else:
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)
-    kinds = ("disparity.png",) if calibration is None else ("disparity.png", "depth.png")
+    deep = rectifier is not None or stream.calibration is not None
+    kinds = ("disparity.png", "depth.png") if deep else ("disparity.png",)
     for folder in (frames, output and output.parent):
         if folder is not None:
             make_folder(folder)
@@ -141,7 +146,6 @@ def video(
             sinks=sinks.open(stack, matcher, stream.topics),
             resume=resume,
             beside=beside,
-            calibration=calibration,
             stop=stop,
             report=report,
         )

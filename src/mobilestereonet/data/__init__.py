@@ -13,6 +13,7 @@ from mobilestereonet.data.disparity_files import (
 from mobilestereonet.data.files import read_pfm, write_npy, write_pfm, write_png
 from mobilestereonet.data.image_files import read_image
 from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor
+from mobilestereonet.data.rig import Rig
 from mobilestereonet.data.sample import Calibration, StereoSample, collate
 from mobilestereonet.data.scanners import (
     Frame,
@@ -30,6 +31,7 @@ __all__ = [
     "Frame",
     "Mask",
     "PairFolder",
+    "Rig",
     "StereoDataSet",
     "StereoSample",
     "collate",

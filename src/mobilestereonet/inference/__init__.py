@@ -8,7 +8,7 @@ from mobilestereonet.inference.matcher import StereoMatcher
 from mobilestereonet.inference.mesh import Mesh
 from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
 from mobilestereonet.inference.quality import DEFAULT_MODEL, DEFAULT_QUALITY, QUALITIES, Quality
-from mobilestereonet.inference.rectify import rectify_pair
+from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.inference.result import RunInfo, StereoResult
 
 __all__ = [
@@ -21,11 +21,11 @@ __all__ = [
     "MetricFilter",
     "PointCloud",
     "Quality",
+    "Rectifier",
     "RunInfo",
     "StereoMatcher",
     "StereoPair",
     "StereoResult",
     "check_pair",
     "load_pair",
-    "rectify_pair",
 ]

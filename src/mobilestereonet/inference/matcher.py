@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mobilestereonet.accelerate.modules import device_of
+from mobilestereonet.data.rig import Rig
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.scaled import ScaledEngine, check_scale
@@ -28,13 +30,27 @@ from mobilestereonet.inference.pair import (
 from mobilestereonet.inference.predict import Tile, match_pairs, predict_disparity
 from mobilestereonet.inference.pretrained import misspelt_options, open_model
 from mobilestereonet.inference.quality import DEFAULT_QUALITY, Quality, find_quality
+from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.inference.result import RunInfo, StereoResult
 from mobilestereonet.nets import StereoModel, VolumeModel, model_name
 from mobilestereonet.nets.model import Prediction
 
+RigLike: TypeAlias = Rig | str | Path | Sequence[str | Path]
+"""A rig, or the file or files that describe one."""
+
+
+def _read_rig(rig: RigLike) -> Rig:
+    """Read a rig; what had to be assumed becomes a warning."""
+    if isinstance(rig, Rig):
+        return rig
+    read = Rig.read(rig)
+    for note in read.notes:
+        warnings.warn(f"{read.name}: {note}", stacklevel=4)
+    return read
+
 
 class StereoMatcher:
-    """Matches rectified pairs of any size.
+    """Matches pairs of any size, rectified ones or those of a rig.
 
     ``matcher(left, right)`` matches one pair of files, arrays, tensors or PIL images, `batch`
     several; `infer` takes and gives tensors. A pair is read and checked once, goes to the engine's
@@ -45,6 +61,7 @@ class StereoMatcher:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
         filter: Which pixels of its results have a depth.
+        rectifier: Rectifies pairs of its rig; None without one.
         quality: Name of the quality level that it was made by, see `QUALITIES`; None for others,
             and for levels with other settings than their own.
     """
@@ -68,6 +85,7 @@ class StereoMatcher:
         left_right: bool = False,
         refine: bool | None = None,
         scale: float = 1.0,
+        rig: RigLike | None = None,
     ) -> None:
         """Make a matcher of a network or an engine.
 
@@ -95,6 +113,9 @@ class StereoMatcher:
                 authors'.
             scale: Factor in 0.25..1 of height and width in which a pair is matched: 0.75 takes
                 about half of the time; the result has the size of the views.
+            rig: Geometry of the cameras: a `Rig`, or what `Rig.read` takes. Pairs of images are
+                rectified if they are raw, and results have their calibration; tensors given to
+                `infer` are not touched.
 
         Raises:
             InputError: If an engine is unknown or not installed, or lacks the precision or the
@@ -144,6 +165,7 @@ class StereoMatcher:
         self.confidence = confidence
         self.left_right = left_right
         self.refine = refine
+        self.rectifier = None if rig is None else Rectifier(_read_rig(rig))
 
     @classmethod
     def from_pretrained(
@@ -163,6 +185,7 @@ class StereoMatcher:
         left_right: bool = False,
         refine: bool | None = None,
         scale: float | None = None,
+        rig: RigLike | None = None,
         config: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> StereoMatcher:
@@ -187,6 +210,7 @@ class StereoMatcher:
             left_right: Likewise.
             refine: Likewise.
             scale: Likewise; by default that of the quality.
+            rig: See `StereoMatcher`.
             config: Values of the network's config in place of those of the weights; for "sgbm" its
                 ``max_disparity``.
             **overrides: The same as keywords, such as ``estimator="mean"``.
@@ -227,6 +251,7 @@ class StereoMatcher:
             left_right=left_right,
             refine=refine,
             scale=level.scale if scale is None else scale,
+            rig=rig,
             **options,
         )
         if not (config or overrides or scale is not None):
@@ -351,6 +376,11 @@ class StereoMatcher:
 
     def _match(self, pairs: list[StereoPair]) -> list[StereoResult]:
         """Match pairs of one size: to the device, through the engine, and back as arrays."""
+        if self.rectifier is not None:
+            pairs = [
+                pair if pair.calibration is not None else self.rectifier.pair(pair)
+                for pair in pairs
+            ]
         started = time.perf_counter()
         maps = match_pairs(
             self._predict,
@@ -378,6 +408,7 @@ class StereoMatcher:
                 filter=self.filter,
                 findings=tuple(quick_checks(pair.left_image, pair.right_image)),
                 info=info,
+                calibration=pair.calibration,
                 **{name: map_[index] for name, map_ in maps.items()},
             )
             for index, pair in enumerate(pairs)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mobilestereonet.data.image_files import read_frames, read_image_file, upright
 from mobilestereonet.data.images import Picture, image_to_tensor, to_picture, white_level
+from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.finding import Finding
 
@@ -33,6 +34,7 @@ class StereoPair:
         right_image: Right view, likewise.
         findings: What was put right while the views were read.
         joined: Whether both views came in one picture, which was split into halves side by side.
+        calibration: Geometry of the views, if a rig tells it.
     """
 
     left: Tensor
@@ -41,6 +43,7 @@ class StereoPair:
     right_image: Picture
     findings: tuple[Finding, ...] = ()
     joined: bool = False
+    calibration: Calibration | None = None
 
     @property
     def height(self) -> int:

@@ -107,6 +107,7 @@ class StereoResult:
         findings: What the quick checks say about the pair, see `quick_checks`.
         info: Model, engine, precision and time; None for a result that was read from files.
         filter: Which pixels have a depth, besides those that fail the left-right check.
+        calibration: Geometry of the views, where a rig or the pair told it.
     """
 
     left: Picture
@@ -118,6 +119,7 @@ class StereoResult:
     findings: tuple[Finding, ...] = ()
     info: RunInfo | None = None
     filter: MetricFilter = NO_LIMITS
+    calibration: Calibration | None = None
 
     def __repr__(self) -> str:
         height, width = self.disparity.shape
@@ -149,7 +151,8 @@ class StereoResult:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
 
         Args:
-            calibration: Geometry of the pair, for the left view's size. Or, in its place:
+            calibration: Geometry of the pair, for the left view's size; by default the result's
+                own. Or, in its place:
             focal: Focal length in px.
             baseline: Distance between the cameras in metres.
             doffs: Difference of the principal points, right minus left, in px.
@@ -165,7 +168,7 @@ class StereoResult:
         """
         if calibration is not None and (focal is not None or baseline is not None or doffs):
             raise InputError("depth takes a calibration, or focal and baseline: leave one out")
-        if calibration is None:
+        if focal is not None or baseline is not None or doffs:
             if focal is None or baseline is None:
                 raise InputError(
                     "depth needs a calibration, or focal= (px) and baseline= (m), both of them"
@@ -173,9 +176,18 @@ class StereoResult:
             calibration = Calibration(focal=focal, baseline=baseline, doffs=doffs)
         return self._depth(calibration, edges=True)
 
+    def _geometry(self, calibration: Calibration | None) -> Calibration:
+        calibration = calibration or self.calibration
+        if calibration is None:
+            raise InputError(
+                "depth needs a calibration, or focal= (px) and baseline= (m), both of them, or a "
+                "matcher with rig=FILE"
+            )
+        return calibration
+
     def points(
         self,
-        calibration: Calibration,
+        calibration: Calibration | None = None,
         *,
         max_depth: float = math.inf,
         min_confidence: float = 0.0,
@@ -186,7 +198,8 @@ class StereoResult:
         Pixels that fail the left-right check, if there was one, give no point.
 
         Args:
-            calibration: Geometry of the pair, for the left view's size.
+            calibration: Geometry of the pair, for the left view's size; by default the result's
+                own.
             max_depth: Farther points are left out, in metres.
             min_confidence: Less confident ones are left out.
             edges: True keeps the pixels at depth edges, which mix two surfaces (see
@@ -199,12 +212,13 @@ class StereoResult:
             InputError: If the calibration is known to be of another size, or ``min_confidence`` is
                 asked for where the confidence is not known.
         """
+        calibration = self._geometry(calibration)
         depth = self._depth(calibration, min_confidence, max_depth, edges)
         return point_cloud(depth, self.left, calibration)
 
     def mesh(
         self,
-        calibration: Calibration,
+        calibration: Calibration | None = None,
         *,
         max_depth: float = math.inf,
         min_confidence: float = 0.0,
@@ -216,7 +230,8 @@ class StereoResult:
         Pixels that fail the left-right check, if there was one, are no part of it.
 
         Args:
-            calibration: Geometry of the pair, for the left view's size.
+            calibration: Geometry of the pair, for the left view's size; by default the result's
+                own.
             max_depth: What is farther is left out, in metres.
             min_confidence: What is less confident is left out.
             edges: True joins the two sides of depth edges, too.
@@ -228,6 +243,7 @@ class StereoResult:
         """
         if step < 1:
             raise InputError(f"step must be 1 or more, got {step}")
+        calibration = self._geometry(calibration)
         points = point_map(
             self._depth(calibration, min_confidence, max_depth, edges=True), calibration
         )
@@ -235,7 +251,7 @@ class StereoResult:
 
     def _depth(
         self,
-        calibration: Calibration,
+        calibration: Calibration | None,
         min_confidence: float = 0.0,
         max_depth: float = math.inf,
         edges: bool = False,
@@ -257,14 +273,15 @@ class StereoResult:
             kept = kept & ~self.occluded
         if not limits.edges:
             kept = kept & ~depth_edges(self.disparity, self.valid)
-        depth = depth_from_disparity(self.disparity, kept, calibration)
+        depth = depth_from_disparity(self.disparity, kept, self._geometry(calibration))
         return np.where(depth <= limits.max_depth, depth, np.float32(0))
 
-    def to_open3d(self, calibration: Calibration, **limits: Any) -> Any:
+    def to_open3d(self, calibration: Calibration | None = None, **limits: Any) -> Any:
         """The points as ``open3d.geometry.PointCloud``, in the left camera's frame.
 
         Args:
-            calibration: Geometry of the pair, for the left view's size.
+            calibration: Geometry of the pair, for the left view's size; by default the result's
+                own.
             **limits: ``max_depth``, ``min_confidence`` and ``edges``, see `points`.
 
         Raises:

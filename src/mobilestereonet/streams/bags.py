@@ -12,7 +12,7 @@ from typing import Any
 
 from mobilestereonet.data.rig import Rig
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.streams.rectified import Rectifier
+from mobilestereonet.inference import Rectifier
 from mobilestereonet.streams.ros_input import picture_of, raw_part, rectified_part, rig_of
 from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
 
@@ -68,7 +68,7 @@ def open_bag(
         infos = [_camera_info(reader, topics, view) for view in views]
     rig = _rig(path, views, infos)
     raw = None if rig is None or all(map(_is_rectified, views)) else raw_part(rig)
-    rectify = None if raw is None else Rectifier(raw)
+    rectify = None if raw is None else Rectifier(Rig((raw,), "camera_info"))
     return Stream(
         _frames(path, views, tolerance, rectify),
         total=min(topics[view][1] for view in views),
@@ -189,7 +189,7 @@ def _frame(
 ) -> StereoFrame:
     try:
         pictures = [picture_of(message) for message in messages]
-        return make_frame(index, seconds, pictures if rectify is None else rectify(pictures))
+        return make_frame(index, seconds, pictures if rectify is None else rectify(*pictures)[:2])
     except InputError as error:
         return StereoFrame(index, f"{index:06d}", seconds, None, str(error))
 

@@ -8,11 +8,11 @@ from typing import TypeAlias
 
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference import StereoMatcher, StereoResult
+from mobilestereonet.inference import Rectifier, StereoMatcher, StereoResult
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.pairs import PairFiles, read_pairs
-from mobilestereonet.streams.stream import StereoFrame
+from mobilestereonet.streams.stream import StereoFrame, rectify_frames
 
 FrameResult: TypeAlias = tuple[StereoFrame, StereoResult | None]
 """A frame and its result, which is None where the frame has a ``problem``."""
@@ -40,6 +40,7 @@ def match_pairs(
     matcher: StereoMatcher,
     files: MapFiles,
     sinks: Sequence[Sink] = (),
+    rectifier: Rectifier | None = None,
 ) -> Iterator[PairStatus]:
     """Match pairs and write their maps; reading, matching and writing overlap.
 
@@ -48,6 +49,7 @@ def match_pairs(
         matcher: The matcher.
         files: Files of their maps.
         sinks: What else gets each pair with its result, such as a recording.
+        rectifier: Rectifies all pairs, and has their calibration.
 
     Yields:
         The status of each pair, once its files are written. A pair that cannot be read or
@@ -57,7 +59,8 @@ def match_pairs(
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    frames: Iterable[StereoFrame] = prefetch(read_pairs(pairs))
+    read = read_pairs(pairs)
+    frames: Iterable[StereoFrame] = prefetch(rectify_frames(read, rectifier) if rectifier else read)
     if files.needs_calibration:
         frames = _check_calibrations(frames)
     for frame, result in prefetch(match_frames(frames, matcher)):

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.inference import Rectifier, StereoMatcher
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.pairs import PairFiles
@@ -27,9 +27,10 @@ class _Worker:
         files: MapFiles,
         make_matcher: Callable[[], StereoMatcher],
         cpus: int,
+        rectifier: Rectifier | None,
     ) -> None:
         cv2.setNumThreads(cpus)  # OpenCV takes all cores of the machine if it is not told
-        self.pairs, self.files = pairs, files
+        self.pairs, self.files, self.rectifier = pairs, files, rectifier
         self.matcher = make_matcher()
 
     def __call__(self, rows: dict[str, Any]) -> dict[str, Any]:
@@ -37,7 +38,7 @@ class _Worker:
         # A task whose worker died is given to another one, which finds what is finished.
         todo = self.files.unfinished(pairs)
         statuses = [PairStatus(pair.name) for pair in pairs if pair not in todo]
-        statuses += match_pairs(todo, self.matcher, self.files)
+        statuses += match_pairs(todo, self.matcher, self.files, rectifier=self.rectifier)
         return {
             "name": [status.name for status in statuses],
             "problem": [status.problem for status in statuses],
@@ -49,6 +50,7 @@ def match_on_ray(
     files: MapFiles,
     make_matcher: Callable[[], StereoMatcher],
     *,
+    rectifier: Rectifier | None = None,
     address: str = "local",
     workers: int = 2,
     cpus: int = 1,
@@ -64,6 +66,7 @@ def match_on_ray(
         pairs: Files of their views.
         files: Files of their maps.
         make_matcher: Makes a worker's matcher.
+        rectifier: Rectifies all pairs, and has their calibration.
         address: The cluster's; "local" starts one on this machine for the time being.
         workers: How many processes.
         cpus: Processor cores of each.
@@ -96,7 +99,7 @@ def match_on_ray(
         statuses = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
         statuses = statuses.map_batches(
             _Worker,
-            fn_constructor_args=(todo, files, make_matcher, cpus),
+            fn_constructor_args=(todo, files, make_matcher, cpus, rectifier),
             batch_size=None,
             compute=ray.data.ActorPoolStrategy(size=min(workers, tasks)),
             num_cpus=cpus,

@@ -11,6 +11,7 @@ from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import StereoPair, load_pair
+from mobilestereonet.inference.rectify import Rectifier
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,24 @@ def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:
             yield from stream.frames
 
     return (seen[-1] if seen else None), replace(stream, frames=again())
+
+
+def rectify_frames(frames: Generator[StereoFrame], rectifier: Rectifier) -> Generator[StereoFrame]:
+    """Rectify the frames of a stream; one that does not fit the rig gets a problem.
+
+    Args:
+        frames: The frames, which are closed with the result.
+        rectifier: Rectifies them, and has their calibration.
+    """
+    with closing(frames):
+        for frame in frames:
+            if frame.pair is not None:
+                try:
+                    pair = rectifier.pair(frame.pair)
+                    frame = replace(frame, pair=pair, calibration=pair.calibration)
+                except InputError as error:
+                    frame = replace(frame, pair=None, problem=str(error))
+            yield frame
 
 
 def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:

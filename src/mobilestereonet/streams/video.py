@@ -14,7 +14,6 @@ from threading import Event
 import numpy as np
 
 from mobilestereonet.data.images import Picture
-from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.plots import colour_disparity, side_by_side
@@ -85,7 +84,6 @@ def match_video(
     sinks: Sequence[Sink] = (),
     resume: bool = False,
     beside: bool = False,
-    calibration: Calibration | None = None,
     stop: Event | None = None,
     report: Callable[[StereoFrame], None] = lambda frame: None,
 ) -> VideoStats:
@@ -100,24 +98,23 @@ def match_video(
         resume: Take the maps that are in ``frames`` already for those of this stream and matcher;
             match the other frames only, and make what is missing of the matched ones' maps.
         beside: The video has the left view beside the colours.
-        calibration: Geometry of the stream, for depth; by default the one that the stream knows.
         stop: Ends the stream early once it is set; the video is then a shorter one.
         report: Called for each finished frame; broken ones have a ``problem``.
 
     Raises:
-        InputError: If no frame could be matched, the calibration is of another size, or the stream
-            and the arguments contradict each other.
+        InputError: If no frame could be matched, or the stream and the arguments contradict each
+            other.
         OSError: If a file cannot be written.
     """
     if resume and (frames is None or "disparity.png" not in frames.kinds or stream.live):
         raise InputError("to resume takes the frames' disparities as files, and no live camera")
-    calibration = calibration or stream.calibration
     stats = VideoStats()
     problem = "there is none"
 
     def finished(results: Iterable[FrameResult]) -> Iterator[tuple[float, StereoResult]]:
         nonlocal problem
         for frame, result in results:
+            calibration = frame.calibration or stream.calibration
             stats.dropped += frame.index - stats.matched - stats.broken - stats.dropped
             if result is None:
                 problem = frame.problem

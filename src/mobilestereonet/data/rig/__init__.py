@@ -1,6 +1,7 @@
 """The geometry of stereo cameras, from whatever describes them."""
 
 from mobilestereonet.data.rig.cameras import Camera, CameraPair
-from mobilestereonet.data.rig.rig import Geometry, Rig
+from mobilestereonet.data.rig.description import Geometry
+from mobilestereonet.data.rig.rig import Rig
 
 __all__ = ["Camera", "CameraPair", "Geometry", "Rig"]

@@ -57,13 +57,14 @@ def pair_of_infos(
     if left is None:
         if right_projection[0, 3] == 0 and told.baseline is None:
             raise InputError(
-                "its projection matrix has no baseline: it is the left camera's file; give both "
-                "files, --rig LEFT --rig RIGHT"
+                "its projection matrix has no baseline: it is the left camera's file, or the "
+                "baseline is in the other one's; give both, --rig LEFT --rig RIGHT"
             )
         if right_projection[0, 3] > 0:
             raise InputError(
-                f"the baseline must be positive, got {-right_projection[0, 3]:g} / focal: are the "
-                "cameras swapped? Give both files, --rig LEFT --rig RIGHT"
+                f"the baseline must be positive, got "
+                f"{-right_projection[0, 3] / right_projection[0, 0]:g} m: are the cameras swapped? "
+                "Give both files, --rig LEFT --rig RIGHT"
             )
         left_projection = right_projection * [1, 1, 1, 0]
         return (from_projections(left_projection, right_projection, told, "m", right_window.size),)
@@ -76,7 +77,7 @@ def pair_of_infos(
         )
     size = left_window.size
     rectified = from_projections(left_projection, right_projection, told, "m", size)
-    if not all(_tells_raw(info) for info in (left, right)):
+    if told.rectified or not all(_tells_raw(info) for info in (left, right)):
         return (rectified,)
     cameras = [
         _raw_camera(info, window, told)
@@ -85,8 +86,7 @@ def pair_of_infos(
     rotations = [
         checked_rotation(matrix_of(info, _RECTIFICATION, (3, 3)), "R") for info in (left, right)
     ]
-    projections = (left_projection * [1, 1, 1, 0], right_projection * [1, 1, 1, 0])
-    projections[1][0, 3] = -rectified.baseline * rectified.focal
+    projections = in_metres(left_projection, right_projection, rectified.baseline)
     pair = calibrated_pair(cameras, rotations, projections, rectified.baseline, size)
     return (rectified,) if pair.is_rectified else (pair, rectified)
 
@@ -97,8 +97,21 @@ def calibrated_pair(
     projections: tuple[Matrix, Matrix],
     baseline: float,
     size: Size | None,
+    rectified_size: Size | None = None,
 ) -> CameraPair:
-    """Two cameras from how each is rectified: the rotations tell how they stand to each other."""
+    """Two cameras from how each is rectified: the rotations tell how they stand to each other.
+
+    Args:
+        cameras: The left and the right camera.
+        rotations: Of each into the rectified frame, (3, 3).
+        projections: Of the rectified frame to pixels, (3, 4).
+        baseline: Distance between the cameras in metres.
+        size: Width and height of the raw pictures.
+        rectified_size: That of the rectified ones, if it is another one.
+
+    Raises:
+        InputError: If a value is impossible.
+    """
     left, right = rotations
     return CameraPair(
         left=cameras[0],
@@ -106,8 +119,15 @@ def calibrated_pair(
         rotation=right.T @ left,
         translation=right.T @ np.array([-baseline, 0, 0]),
         size=size,
-        rectification=Rectification((left, right), projections),
+        rectification=Rectification((left, right), projections, rectified_size),
     )
+
+
+def in_metres(left: Matrix, right: Matrix, baseline: float) -> tuple[Matrix, Matrix]:
+    """Projection matrices whose first camera is the left one and whose unit is the metre."""
+    left, right = left * [1, 1, 1, 0], right * [1, 1, 1, 0]
+    right[0, 3] = -baseline * right[0, 0]
+    return left, right
 
 
 def _tells_raw(info: Entries) -> bool:

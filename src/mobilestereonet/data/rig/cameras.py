@@ -76,10 +76,12 @@ class Rectification:
     Attributes:
         rotations: Of the left and the right camera into the rectified frame, (3, 3) each.
         projections: Of the rectified frame to pixels, (3, 4) each, with the baseline in metres.
+        size: Width and height of the rectified pictures; None if it is that of the raw ones.
     """
 
     rotations: tuple[Matrix, Matrix]
     projections: tuple[Matrix, Matrix]
+    size: Size | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +147,9 @@ class CameraPair:
         rectification = self.rectification
         if rectification is not None:
             left, right = (resized_matrix(p, factors) for p in rectification.projections)
-            rectification = replace(rectification, projections=(left, right))
+            own = rectification.size
+            rectified = own and (round(own[0] * factors[0]), round(own[1] * factors[1]))
+            rectification = replace(rectification, projections=(left, right), size=rectified)
         return replace(
             self,
             left=self.left.resized(factors),

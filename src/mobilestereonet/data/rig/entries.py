@@ -111,7 +111,7 @@ def _read_storage(text: str) -> Entries:
         if yml and "!!opencv-" not in text:
             return _read_yaml(body)
         reason = " ".join(str(error.__cause__ or error).split())
-        raise InputError(f"not a file of OpenCV's FileStorage: {reason}") from None
+        raise InputError(f"not a calibration file: {reason}") from None
 
 
 def _node_value(node: cv2.FileNode) -> Any:
@@ -131,19 +131,18 @@ def _node_value(node: cv2.FileNode) -> Any:
 
 def _read_json(text: str) -> Entries:
     try:
-        return _mapping(json.loads(text))
+        value = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {error}") from None
+        raise InputError(f"not a calibration file: {error}") from None
+    return _mapping(value)
 
 
 def _read_yaml(text: str) -> Entries:
     try:
-        for document in yaml.safe_load_all(text):
-            if document is not None:
-                return _mapping(document)
+        documents = [document for document in yaml.safe_load_all(text) if document is not None]
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"not a calibration file: {' '.join(str(error).split())}") from None
-    return {}
+    return _mapping(documents[0]) if documents else {}
 
 
 def _mapping(value: Any) -> Entries:
@@ -158,7 +157,7 @@ def _read_sections(text: str) -> Entries:
     try:
         parser.read_string(text)
     except configparser.Error as error:
-        raise InputError(f"not an INI file: {' '.join(str(error).split())}") from None
+        raise InputError(f"not a calibration file: {' '.join(str(error).split())}") from None
     return {name: dict(section) for name, section in parser.items() if section}
 
 
@@ -177,7 +176,7 @@ def _read_archive(content: bytes) -> Entries:
                 except ValueError:  # objects
                     entries[name] = None
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise InputError(f"not a NumPy archive: {error}") from None
+        raise InputError(f"not a calibration file: {error}") from None
     return entries
 
 
@@ -191,7 +190,7 @@ def flattened(entries: Mapping[str, Any], prefix: str = "", depth: int = 4) -> E
     """
     flat: Entries = {}
     for name, value in entries.items():
-        if isinstance(value, Mapping) and "data" not in value and depth:
+        if isinstance(value, Mapping) and value.keys().isdisjoint(("data", "rows")) and depth:
             flat |= flattened(value, f"{prefix}{name}_", depth - 1)
         else:
             flat[f"{prefix}{name}"] = value

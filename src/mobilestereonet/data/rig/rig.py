@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any
 
 from mobilestereonet.data.rig.camera_info import pair_of_infos
 from mobilestereonet.data.rig.cameras import CameraPair, Size, same_shape, wrong_size
+from mobilestereonet.data.rig.description import Geometry
+from mobilestereonet.data.rig.formats import describe
 from mobilestereonet.data.rig.rectified import check_views
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-
-Geometry: TypeAlias = CameraPair | Calibration
-"""Of raw pictures, or of rectified ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,56 @@ class Rig:
     geometries: tuple[Geometry, ...]
     name: str = "rig"
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def read(
+        cls,
+        source: str | Path | Sequence[str | Path],
+        *,
+        unit: str | None = None,
+        baseline: float | None = None,
+        cameras: tuple[int, int] | None = None,
+        fisheye: bool | None = None,
+        rectified: bool | None = None,
+    ) -> Rig:
+        """Read whatever describes a stereo camera; its content tells what it is.
+
+        - OpenCV: what `cv2.stereoCalibrate` or `cv2.stereoRectify` gives, as FileStorage (YAML,
+          XML, JSON), plain YAML, JSON or ``.npz``, under the usual names;
+        - ROS: the camera_info of both cameras, or of the right one; Kalibr's camchain; EuRoC's
+          sensor.yaml of both cameras;
+        - ZED's ``SN....conf``, the EEPROM of an OAK as JSON, RealSense's calibration table or
+          intrinsics as JSON;
+        - calibration files of Middlebury, ETH3D, KITTI, KITTI-360 and DrivingStereo.
+
+        Args:
+            source: The file, or the files of the left and the right camera, or of intrinsics and
+                extrinsics.
+            unit: Unit of the file's lengths, "m", "cm" or "mm"; by default that of its format, for
+                OpenCV's metres.
+            baseline: Distance between the cameras in metres, where the file has none or an
+                implausible one.
+            cameras: Numbers of the left and the right camera, where there are more than two: 0 and
+                1 are KITTI's grey ones.
+            fisheye: What four distortion coefficients are, where the file does not tell: of a
+                fisheye lens (k1 k2 k3 k4), or of a pinhole one (k1 k2 p1 p2).
+            rectified: Whether the pictures are rectified; None leaves it to the file.
+
+        Returns:
+            The rig.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            InputError: If a file is of no such format, lacks a value or has an impossible one.
+        """
+        paths = [Path(source)] if isinstance(source, str | Path) else [Path(p) for p in source]
+        told = Told(unit, baseline, cameras, fisheye, rectified)
+        found = describe(paths, told)
+        name = ", ".join(map(str, paths))
+        kinds = tuple(g for g in found.geometries if _is_kind(g, rectified))
+        if not kinds:
+            raise cls(found.geometries, name)._other_kind(rectified)
+        return cls(kinds, name, (*found.notes, *_doubts(kinds)))
 
     @classmethod
     def from_camera_info(
@@ -77,11 +127,9 @@ class Rig:
             InputError: If the rig is of pictures of other sizes, or of raw ones alone, or of
                 rectified ones alone.
         """
-        kind = {True: Calibration, False: CameraPair, None: CameraPair | Calibration}[rectified]
-        fitting = [geometry for geometry in self.geometries if isinstance(geometry, kind)]
+        fitting = [geometry for geometry in self.geometries if _is_kind(geometry, rectified)]
         if not fitting:
-            what, other = ("rectified", "raw") if rectified else ("raw", "rectified")
-            raise InputError(f"{self.name}: tells about {other} pictures alone, not {what} ones")
+            raise self._other_kind(rectified)
         for geometry in fitting:
             if geometry.size in (None, size):
                 return self._checked(geometry, size)
@@ -92,6 +140,29 @@ class Rig:
         raise InputError(
             f"{self.name}: it is of pictures of {known}, these have {size[0]}x{size[1]} (width x "
             "height): give the calibration of these"
+        )
+
+    @property
+    def calibration(self) -> Calibration:
+        """Calibration of rectified pictures.
+
+        Raises:
+            InputError: If the rig is of raw pictures alone, or of rectified ones of several sizes.
+        """
+        fitting = [g for g in self.geometries if isinstance(g, Calibration)]
+        if not fitting:
+            raise self._other_kind(True)
+        if len(fitting) > 1:
+            sizes = ", ".join("{}x{}".format(*g.size) for g in fitting if g.size)
+            raise InputError(f"{self.name}: is of pictures of {sizes}: ask geometry() for one size")
+        return fitting[0]
+
+    def _other_kind(self, rectified: bool | None) -> InputError:
+        if not rectified:
+            return InputError(f"{self.name}: tells about rectified pictures alone, not raw ones")
+        return InputError(
+            f"{self.name}: tells about raw pictures alone, not rectified ones: give such pictures "
+            "and this file to `msnet rectify`, or to `msnet predict --rig`"
         )
 
     def _checked(self, geometry: Geometry, size: Size) -> Geometry:
@@ -118,3 +189,18 @@ class Rig:
                 f"{own or 'a rig that tells no size'}"
             )
         return replace(self, geometries=tuple(geometry.resized(size) for geometry in fitting))
+
+
+def _is_kind(geometry: Geometry, rectified: bool | None) -> bool:
+    return rectified is None or isinstance(geometry, Calibration) == rectified
+
+
+def _doubts(geometries: Sequence[Geometry]) -> tuple[str, ...]:
+    """What is said where a file tells about raw and rectified pictures of one size."""
+    raw = {geometry.size for geometry in geometries if isinstance(geometry, CameraPair)}
+    rectified = {geometry.size for geometry in geometries if isinstance(geometry, Calibration)}
+    if not raw or not rectified or (None not in raw | rectified and raw.isdisjoint(rectified)):
+        return ()
+    first = "raw" if isinstance(geometries[0], CameraPair) else "rectified"
+    other = "--rectified says that they are" if first == "raw" else "--raw says that they are not"
+    return (f"the pictures are taken for {first} ones; {other}",)

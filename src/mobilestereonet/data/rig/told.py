@@ -30,6 +30,7 @@ class Told:
             one.
         cameras: Numbers of the left and the right camera, where a file has more than two.
         fisheye: Whether the lenses are fisheye ones, where distortion coefficients have no model.
+        rectified: Whether the pictures are rectified; then nothing else of a file is read.
 
     Raises:
         InputError: If a value is impossible.
@@ -39,6 +40,7 @@ class Told:
     baseline: float | None = None
     cameras: tuple[int, int] | None = None
     fisheye: bool | None = None
+    rectified: bool | None = None
 
     def __post_init__(self) -> None:
         if self.unit is not None and self.unit not in UNITS:

@@ -69,9 +69,10 @@ def matrix_of(entries: Entries, names: str | Iterable[str], shape: tuple[int, ..
         return numbers(entries[name]).reshape(shape)
     except (ValueError, TypeError, RecursionError):
         size = " x ".join("n" if n < 0 else str(n) for n in shape)
+        size += " number" if shape == (1,) else " numbers"
         found = str(entries[name])
         shown = found if len(found) <= 200 else f"{found[:200]} ..."
-        raise InputError(f"{name} must hold {size} number(s), got {shown!r}") from None
+        raise InputError(f"{name} must hold {size}, got {shown!r}") from None
 
 
 def number_of(entries: Entries, names: str | Iterable[str], default: float | None = None) -> float:
