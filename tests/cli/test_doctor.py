@@ -83,3 +83,40 @@ def test_rectify_refuses_and_writes_nothing(msnet, folder, options, message):
     assert err.startswith("msnet: ") and err.count("\n") == 1
     assert message in err
     assert sorted(folder.rglob("*")) == before
+
+
+def test_rectify_folders_and_videos(msnet, folder):
+    write_rig(folder / "stereo.yml")
+    rig = ("--rig", folder / "stereo.yml", "--unit", "mm")
+    for side in ("left", "right"):
+        (folder / "run" / side).mkdir(parents=True)
+        view = cv2.imread(str(folder / f"{side}.png"))
+        code = cv2.VideoWriter.fourcc(*"mp4v")
+        video = cv2.VideoWriter(str(folder / f"{side}.mp4"), code, 10, view.shape[1::-1])
+        for index in range(2):
+            cv2.imwrite(str(folder / "run" / side / f"{index}.png"), view)
+            video.write(view)
+        video.release()
+    assert (
+        msnet("rectify", folder / "left.png", folder / "right.png", *rig, "-o", folder / "a")[0]
+        == 0
+    )
+    single = cv2.imread(str(folder / "a" / "left.png"))
+    views = folder / "run" / "left", folder / "run" / "right"
+    code, out, err = msnet("rectify", *views, *rig, "-o", folder / "b")
+    assert (code, err, len(out.splitlines())) == (0, "", 5)
+    np.testing.assert_array_equal(cv2.imread(str(folder / "b/left/1.png")), single)
+    calibration = read_calibration(folder / "b" / "calib.txt")
+    assert calibration == read_calibration(folder / "a" / "calib.txt")
+    (views[0] / "1.png").write_bytes(b"")
+    code, out, err = msnet("rectify", *views, *rig, "-o", folder / "c")
+    assert (code, len(out.splitlines())) == (1, 3)
+    assert err.startswith("msnet: 1 skipped: ")
+
+
+def test_doctor_looks_at_what_the_rig_rectifies(msnet, folder):
+    write_rig(folder / "stereo.yml", T=np.array([-0.06, 0, 0]))
+    views = folder / "left.png", folder / "right.png"
+    _, out, _ = msnet("doctor", *views, "--rig", folder / "stereo.yml", "--json")
+    levels = {finding["check"]: finding["level"] for finding in json.loads(out)}
+    assert levels["rectified"] != "good"  # the pair was rectified before

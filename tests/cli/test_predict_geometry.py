@@ -1,6 +1,7 @@
 """Depth, points, confidence and checks from ``msnet predict``."""
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -85,6 +86,19 @@ def test_a_field_of_view_is_told_to_be_assumed(msnet, folder):
     assert np.median(np.load(folder / "depth.npy")) == pytest.approx(focal * 0.1 / 25, rel=0.01)
 
 
+def test_a_known_distance_gives_the_scale(msnet, folder):
+    known = ("--known", "120,60=3.5", "--depth", folder / "depth.npy")
+    code, _, err = predict(msnet, folder, *known)
+    assert code == 0
+    assert err.startswith("msnet: assumed: ") and "60 degrees wide; 3.5 m at a dis" in err
+    assert np.median(np.load(folder / "depth.npy")) == pytest.approx(3.5, rel=0.01)
+    # What it says does the same, also for videos.
+    focal, baseline = re.search(r"--focal (\S+) --baseline (\S+)", err).groups()
+    numbers = ("--focal", focal, "--baseline", baseline, "--depth", folder / "again.npy")
+    assert predict(msnet, folder, *numbers)[0] == 0
+    np.testing.assert_allclose(np.load(folder / "again.npy"), np.load(folder / "depth.npy"), 1e-4)
+
+
 def test_raw_pictures_are_rectified_on_the_way(msnet, folder):
     camera = np.array([[500.0, 0, 120], [0, 500, 60], [0, 0, 1]])
     storage = cv2.FileStorage(str(folder / "rig.yml"), cv2.FILE_STORAGE_WRITE)
@@ -135,6 +149,14 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--calib", "calib.txt", "--focal", 1), "leave the options out"),
         (("--calib", "none.txt"), "none.txt: no such file"),
         (("--depth", "d.npy", "--calib", "calib.txt", "--baseline", 1), "--baseline says 1 m"),
+        (
+            ("--depth", "d.npy", "--known", "120,60"),
+            "--known 120,60: write it as COLUMN,ROW=METRES",
+        ),
+        (("--depth", "d.npy", "--known", "1,2=0"), "--known 1,2=0: write it as COLUMN,ROW=METRES"),
+        (("--depth", "d.npy", "--known", "1,2=3", "--baseline", 1), "in place of --baseline"),
+        (("--depth", "d.npy", "--known", "1,2=3", "--calib", "calib.txt"), "leave the options out"),
+        (("--depth", "d.npy", "--known", "240,60=3"), "column 240, row 60 is outside"),
         (("--fov", 60, "--focal", 500), "two ways to say one thing"),
         (("--depth", "d.npy", "--fov", 190, "--baseline", 1), "up to 170"),
         (("--depth", "d.npy", "--fov", 60), "--fov needs --baseline, too"),

@@ -73,6 +73,8 @@ def batch(
     # A cluster's processes have working folders of their own.
     files = MapFiles(output.absolute(), tuple(write or ["disparity.png"]))
     filters.require(files.needs_calibration or bool(sinks.given))
+    if cameras.known:
+        raise InputError("--known is for `msnet predict`, which prints --focal and --baseline")
     rectifier = cameras.read()
     pairs = find_pairs(left, right)
     for pair in pairs:

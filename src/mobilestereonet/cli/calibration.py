@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mobilestereonet.cli.early import UNITS, existing_file, one_of
+from mobilestereonet.cli.early import UNITS, check_known, existing_file, one_of
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
+    from mobilestereonet.data.sample import Calibration
+    from mobilestereonet.inference import StereoResult
     from mobilestereonet.inference.rectify import Rectifier
 
 
@@ -128,21 +130,32 @@ class CalibrationOptions(RigFiles):
         float | None,
         typer.Option(help="Horizontal field of view in degrees, in place of --focal."),
     ] = None
+    known: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMN,ROW=METRES",
+            help="Depth of what a pixel of the left view shows, in place of --baseline.",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         if self.focal is not None and self.fov is not None:
             raise InputError("--focal and --fov are two ways to say one thing: leave one out")
         if self.rig:
-            if self.focal is not None or self.fov is not None or self.doffs:
+            if self.focal is not None or self.fov is not None or self.doffs or self.known:
                 raise InputError(
                     f"{self.rig[0]} has focal length, baseline and doffs: leave the options out, "
-                    "--focal, --fov and --doffs"
+                    "--focal, --fov, --doffs and --known"
                 )
             return
-        if self.given and self.baseline is None:
+        if self.known is not None:
+            check_known(self.known)
+            if self.baseline is not None:
+                raise InputError("--known is in place of --baseline: leave one of them out")
+        elif self.given and self.baseline is None:
             focal = "--fov" if self.focal is None else "--focal"
             raise InputError(f"{focal} needs --baseline, too")
-        if self.baseline is not None and not self.given:
+        elif self.baseline is not None and not self.given:
             raise InputError("--baseline needs --focal or --fov, too")
         if not self.given and self.doffs:
             raise InputError("a calibration needs --rig FILE, or --focal and --baseline")
@@ -150,7 +163,38 @@ class CalibrationOptions(RigFiles):
     @property
     def given(self) -> bool:
         """Whether there is a calibration."""
-        return bool(self.rig) or self.focal is not None or self.fov is not None
+        return bool(self.rig or self.known) or self.focal is not None or self.fov is not None
+
+    def check_size(self, width: int, height: int) -> None:
+        """Check, before the work, that a known pixel is one of views of this size.
+
+        Raises:
+            InputError: If it is outside.
+        """
+        if self.known is not None:
+            from mobilestereonet.data.rig.assumed import KnownDistance
+
+            KnownDistance.parse(self.known).check_size(width, height)
+
+    def scaled(self, result: StereoResult) -> Calibration | None:
+        """The calibration that a known distance gives, which is told; None without one.
+
+        Raises:
+            InputError: If the pixel is outside of the view, or has no disparity.
+        """
+        if self.known is None:
+            return None
+        from mobilestereonet.data.rig.assumed import KnownDistance
+
+        calibration, assumption = KnownDistance.parse(self.known).calibration(
+            result.disparity,
+            result.valid,
+            focal=self.focal,
+            field_of_view=self.fov,
+            doffs=self.doffs,
+        )
+        print(f"msnet: {assumption}", file=sys.stderr)
+        return calibration
 
     def read(self, *, whole: bool = False) -> Rectifier | None:
         """Read the geometry; None if there is none. What had to be assumed is told.

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.options import AsJson, LeftView, RightView
 
 
@@ -16,6 +17,8 @@ def doctor(
         int, typer.Option(min=1, help="Disparities that the network searches, in px.")
     ] = 192,
     as_json: AsJson = False,
+    *,
+    files: RigFiles,
 ) -> None:
     """Say whether a pair is fit for stereo matching, and what to do. Exit code 1: it is not."""
     import json
@@ -27,7 +30,9 @@ def doctor(
     from mobilestereonet.inference.checks import check_pair
 
     colours = {"good": "green", "warning": "yellow", "problem": "red", "unknown": "yellow"}
-    pair = load_pair(left, right)
+    rectifier, pair = files.read(), load_pair(left, right)
+    if rectifier is not None:
+        pair = rectifier.pair(pair)
     findings = check_pair(pair.left_image, pair.right_image, max_disparity)
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))

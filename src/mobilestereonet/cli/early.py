@@ -229,6 +229,16 @@ def _fields(file: str | Path, pattern: str) -> list[str]:
     ]
 
 
+def check_known(text: str) -> None:
+    """Check that a known distance is written as one, before NumPy is imported.
+
+    Raises:
+        InputError: If it is none.
+    """
+    if not re.fullmatch(r"\d{1,6},\d{1,6}=(\d*[1-9]\d*(\.\d+)?|0*\.\d*[1-9]\d*)", text):
+        raise InputError(f"--known {text}: write it as COLUMN,ROW=METRES, such as 320,240=2.5")
+
+
 def _check_recipe(option: str, recipe: str) -> None:
     if recipe.endswith(".json"):
         _check_file(option, Path(recipe))
@@ -236,7 +246,14 @@ def _check_recipe(option: str, recipe: str) -> None:
         _check_name(option, recipe, RECIPES)
 
 
+def _check_source(option: str, source: str) -> None:
+    if not (Path(source).exists() or "://" in source or re.search(r"[*?[]", source)):
+        raise FileNotFoundError(f"{source}: no such file or folder")
+    note_inputs(source)
+
+
 existing_file = each(_check_file)
+existing_source = each(_check_source)
 existing_folder = each(_check_folder)
 weights_file = each(_check_weights)
 network_name = each(check_network)

@@ -72,12 +72,14 @@ def predict(
     pair = load_pair(left, right)
     if rectifier is not None:
         pair = rectifier.pair(pair)
+    cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
     log = None if rerun is None else RerunLog(rerun)
     for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
         make_folder(folder)
     result = matcher.match(pair)
+    calibration = calibration or cameras.scaled(result)
     for finding in result.findings:
         if finding.level != "good":
             print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)

@@ -105,6 +105,8 @@ def video(
     from mobilestereonet.streams.stream import rectify_frames
     from mobilestereonet.streams.video_files import check_video_file
 
+    if cameras.known:
+        raise InputError("--known is for `msnet predict`, which prints --focal and --baseline")
     rectifier = cameras.read()
     if output is not None:
         check_video_file(output)

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
+import numpy as np
+
+from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.rig.cameras import Size
 from mobilestereonet.data.rig.rig import Rig
 from mobilestereonet.data.sample import Calibration
@@ -12,6 +16,12 @@ from mobilestereonet.errors import InputError
 
 MAX_FIELD_OF_VIEW_DEG = 170.0
 """Widest view of a rectified picture; wider ones are of fisheye lenses."""
+
+DEFAULT_FIELD_OF_VIEW_DEG = 60.0
+"""Horizontal view that is assumed where only a distance is known: that of many cameras."""
+
+_KNOWN_RADIUS_PX = 2
+"""How far from the known pixel disparities count."""
 
 _ASSUMED = "square pixels, the principal point in the middle, rectified views"
 
@@ -37,12 +47,7 @@ class AssumedRig(Rig):
         Raises:
             InputError: If a value is impossible.
         """
-        if not 0 < degrees <= MAX_FIELD_OF_VIEW_DEG:
-            raise InputError(
-                f"--fov {degrees:g}: a field of view is in degrees, above 0 and up to "
-                f"{MAX_FIELD_OF_VIEW_DEG:g}"
-            )
-        Calibration(focal=1.0, baseline=baseline, doffs=doffs)  # checks them
+        Calibration(focal_of_view(degrees, 1), baseline, doffs)  # checks them
         return cls((), f"--fov {degrees:g}", (), degrees, baseline, doffs)
 
     @property
@@ -55,5 +60,101 @@ class AssumedRig(Rig):
 
     def geometry(self, size: Size, *, rectified: bool | None = None) -> Calibration:
         """Calibration of pictures of a size."""
-        focal = size[0] / 2 / math.tan(math.radians(self.field_of_view) / 2)
+        focal = focal_of_view(self.field_of_view, size[0])
         return Calibration(focal, self.baseline, self.doffs, size=size)
+
+
+def focal_of_view(degrees: float, width: int) -> float:
+    """Focal length in px of a picture that is so many degrees wide.
+
+    Raises:
+        InputError: If the angle is impossible.
+    """
+    if not 0 < degrees <= MAX_FIELD_OF_VIEW_DEG:
+        raise InputError(
+            f"--fov {degrees:g}: a field of view is in degrees, above 0 and up to "
+            f"{MAX_FIELD_OF_VIEW_DEG:g}"
+        )
+    return width / 2 / math.tan(math.radians(degrees) / 2)
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """The distance of what one pixel of the left view shows, which gives depth its scale.
+
+    Attributes:
+        column: Column of the pixel.
+        row: Row of the pixel.
+        metres: Its depth along the optical axis.
+    """
+
+    column: int
+    row: int
+    metres: float
+
+    @classmethod
+    def parse(cls, text: str) -> KnownDistance:
+        """Read ``COLUMN,ROW=METRES``.
+
+        Raises:
+            InputError: If it is none.
+        """
+        match = re.fullmatch(r"(\d{1,6}),(\d{1,6})=(\d*\.?\d+)", text)
+        if match is None or not float(match[3]) > 0:
+            raise InputError(f"--known {text}: write it as COLUMN,ROW=METRES, such as 320,240=2.5")
+        return cls(int(match[1]), int(match[2]), float(match[3]))
+
+    def check_size(self, width: int, height: int) -> None:
+        """Check that the pixel is one of views of this size.
+
+        Raises:
+            InputError: If it is outside.
+        """
+        if not (self.column < width and self.row < height):
+            raise InputError(
+                f"--known: column {self.column}, row {self.row} is outside of the view of "
+                f"{width}x{height}"
+            )
+
+    def calibration(
+        self,
+        disparity: FloatMap,
+        valid: Mask,
+        *,
+        focal: float | None = None,
+        field_of_view: float | None = None,
+        doffs: float = 0.0,
+    ) -> tuple[Calibration, str]:
+        """Calibration in which the pixel has its distance, and what was assumed.
+
+        Args:
+            disparity: Disparity of the left view, (H, W), in px.
+            valid: Where it is known, (H, W).
+            focal: Focal length in px, if it is known; depth does not depend on it, points do.
+            field_of_view: Horizontal field of view in degrees, if it is known.
+            doffs: Difference of the principal points, right minus left, in pixels.
+
+        Raises:
+            InputError: If the pixel is outside, or has no disparity.
+        """
+        height, width = disparity.shape
+        self.check_size(width, height)
+        rows, columns = (
+            slice(max(place - _KNOWN_RADIUS_PX, 0), place + _KNOWN_RADIUS_PX + 1)
+            for place in (self.row, self.column)
+        )
+        near = disparity[rows, columns][valid[rows, columns]]
+        shifted = float(np.median(near)) + doffs if near.size else 0.0
+        if not shifted > 0:
+            raise InputError(
+                f"--known: nothing is matched at column {self.column}, row {self.row}: choose a "
+                "pixel with texture"
+            )
+        told = field_of_view or DEFAULT_FIELD_OF_VIEW_DEG
+        focal_px = focal_of_view(told, width) if focal is None else focal
+        calibration = Calibration(focal_px, self.metres * shifted / focal_px, doffs)
+        wide = f", {told:g} degrees wide" if focal is None and field_of_view is None else ""
+        return calibration, (
+            f"assumed: {_ASSUMED}{wide}; {self.metres:g} m at a disparity of {shifted - doffs:.2f} "
+            f"px is --focal {focal_px:.6g} --baseline {calibration.baseline:.6g}"
+        )
