@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import configparser
 import io
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -13,10 +12,10 @@ from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-import yaml  # type: ignore[import-untyped]
 
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.errors import InputError
+from mobilestereonet.text import decode, parse_json, parse_yaml
 
 Entries: TypeAlias = dict[str, Any]
 """Names and values: numbers, texts, arrays, lists, and entries in turn."""
@@ -27,13 +26,8 @@ MAX_FILE_BYTES = 1 << 25
 MAX_ENTRIES = 10_000
 """Names and values in one file, nested ones among them."""
 
-_BYTE_ORDER_MARKS = {
-    b"\xef\xbb\xbf": "utf-8-sig",
-    b"\xff\xfe\x00\x00": "utf-32",
-    b"\x00\x00\xfe\xff": "utf-32",
-    b"\xff\xfe": "utf-16",
-    b"\xfe\xff": "utf-16",
-}
+_NAME = "not a calibration file"
+_NOT_FINITE = re.compile(r"-?\b(NaN|Infinity)\b")
 _LINE = re.compile(r"^[ \t]*(\w+)[ \t]*[=:][ \t]*(.*?)[ \t]*$", flags=re.MULTILINE)
 _MIDDLEBURY = re.compile(r"^[ \t]*cam[01][ \t]*=", flags=re.MULTILINE)
 _KITTI = re.compile(r"^[ \t]*(P|P_rect_)\d+[ \t]*:([ \t]+[-+.,\w]+){6,}[ \t]*$", re.MULTILINE)
@@ -53,9 +47,10 @@ def read_entries(path: str | Path) -> Entries:
         FileNotFoundError: If there is no such file.
         InputError: If it is none of these.
     """
+    path = Path(path)
+    if path.is_file() and path.stat().st_size > MAX_FILE_BYTES:
+        raise InputError(f"{path}: more than {MAX_FILE_BYTES >> 20} MB: no calibration file is")
     content = read_bytes(path)
-    if len(content) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: {len(content)} bytes are too many for a calibration file")
     try:
         if content.startswith(b"PK\x03\x04"):
             return _read_archive(content)
@@ -65,22 +60,13 @@ def read_entries(path: str | Path) -> Entries:
 
 
 def _decode(content: bytes) -> str:
-    encoding = next(
-        (name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), None
-    )
-    if encoding is None:
-        # Every second byte of Latin text in UTF-16 is 0.
-        nulls = [content[start:400:2].count(0) for start in (0, 1)]
-        encoding = "utf-8"
-        if max(nulls) > len(content[:400]) // 4:
-            encoding = "utf-16-be" if nulls[0] > nulls[1] else "utf-16-le"
     try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError:
+        text = decode(content, "it")
+    except InputError:  # a comment in an old code page
         text = content.decode("latin-1")
     if "\0" in text:
         raise InputError("unknown calibration format: it is no text")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r", "\n")
 
 
 def _read_text(text: str) -> Entries:
@@ -130,19 +116,13 @@ def _node_value(node: cv2.FileNode) -> Any:
 
 
 def _read_json(text: str) -> Entries:
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not a calibration file: {error}") from None
-    return _mapping(value)
+    # Programs write NaN beside what they could calibrate; None is no number either.
+    return _mapping(parse_json(_NOT_FINITE.sub("null", text), _NAME))
 
 
 def _read_yaml(text: str) -> Entries:
-    try:
-        documents = [document for document in yaml.safe_load_all(text) if document is not None]
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"not a calibration file: {' '.join(str(error).split())}") from None
-    return _mapping(documents[0]) if documents else {}
+    document = parse_yaml(text, _NAME)
+    return {} if document is None else _mapping(document)
 
 
 def _mapping(value: Any) -> Entries:
