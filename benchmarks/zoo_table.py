@@ -46,9 +46,10 @@ def costs() -> str:
     return markdown(header, rows)
 
 
-def both(cell: Cell) -> tuple[str, str]:
-    counted = "" if cell.counted is None else f"{cell.counted:.2f}"
-    return counted, "" if cell.printed is None else f"{cell.printed:g}"
+def both(cell: Cell) -> list[str]:
+    """The counted and the printed figure; 38.00 M is printed as 38."""
+    figures = (cell.counted, cell.printed)
+    return ["" if x is None else f"{x:.2f}".removesuffix(".00") for x in figures]
 
 
 def lines() -> str:

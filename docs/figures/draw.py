@@ -1,4 +1,4 @@
-"""Draws the diagrams of docs/how-it-works.md, from the networks' configs and their own code.
+"""Draws the figures of the pages, from the networks' configs, their code and their costs.
 
 python docs/figures/draw.py [FOLDER] [--png]
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib
 from boxes import STYLE
 from networks import draw_network
+from peers import MEASURED, draw_figure_1, draw_measured
 from soft_argmax import draw_soft_argmax
 from volume import draw_interlacing
 
@@ -24,6 +25,9 @@ def draw(folder: Path, ending: str = ".svg") -> None:
             draw_network(model, folder / f"{model}{ending}")
         draw_interlacing(folder / f"interlacing{ending}")
         draw_soft_argmax(folder / f"soft_argmax{ending}")
+        draw_figure_1(folder / f"figure_1{ending}")
+        if MEASURED.is_file():
+            draw_measured(folder / f"figure_1_measured{ending}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import pytest
 from extras import SHARED, needs_shared
 from mobilestereonet.paper.peers import model_sizes, own_name
 from mobilestereonet.paper.tables import paper_tables
+from parity import REPOSITORY
 
 COMPARISONS = ("Table 4a", "Table 4b", "Table 5", "Table 6")
 
@@ -107,6 +108,25 @@ def test_counts(row, macs, cells):
         pytest.skip(f"no {row} here")
     cell = next(c for c in cells if (c.table, c.row, c.what) == ("Table 4b", row, "macs"))
     assert cell.counted == pytest.approx(macs, abs=0.001)
+
+
+def test_the_page_has_these_counts(tables):
+    page = (REPOSITORY / "docs/paper.md").read_text(encoding="utf-8")
+    section = page.partition("### The networks")[2]
+    rows = re.findall(r"^\| ([^|]+) \(`.*`\) \|(.*)\|$", section, re.M)
+    assert len(rows) >= 15
+    counts = {
+        (row.name, cell.what, f"{figure or 0:.2f}".removesuffix(".00"))
+        for table in tables.values()
+        for row in table.rows
+        for cell in row.cells
+        for figure in (cell.counted, cell.printed)
+    }
+    for name, texts in rows:
+        params, printed_params, macs, printed_macs, _ = (text.strip() for text in texts.split("|"))
+        for what, figures in (("params", (params, printed_params)), ("macs", (macs, printed_macs))):
+            for figure in filter(None, figures):
+                assert (name, what, figure) in counts
 
 
 def number(text):

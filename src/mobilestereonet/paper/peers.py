@@ -47,10 +47,11 @@ class ModelSize:
 
 def comparisons() -> list[PaperTable]:
     """Tables 4a, 4b, 5 and 6, with the costs of every network that is registered."""
-    return [_comparison(name) for name in _CAPTIONS]
+    return [comparison(name) for name in _CAPTIONS]
 
 
-def _comparison(table: str) -> PaperTable:
+def comparison(table: str) -> PaperTable:
+    """One of them, by its name, such as "Table 4a"."""
     rows = []
     for line in printed()[_key(table)]:
         model, name = line["model"], own_name(line["model"])
