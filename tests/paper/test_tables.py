@@ -130,7 +130,8 @@ def test_the_page_has_these_counts(tables):
 
 
 def number(text):
-    return float(re.sub(r"[^\d.]", "", text))
+    digits = re.sub(r"[^\d.]", "", text)
+    return float(digits) if digits else None
 
 
 @needs_shared
