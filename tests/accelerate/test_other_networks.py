@@ -23,6 +23,7 @@ from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import NetConfig
 from mobilestereonet.nets.operations import Correlation1D
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from small_views import for_small_views, with_statistics
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,18 @@ def test_every_form_is_exact(name):
         graph = accelerate(net, "export")(left, right)
     for disparity in (found[0].disparity, found[1].disparity, graph):
         torch.testing.assert_close(disparity, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["deeppruner-best", "deeppruner-fast"])
+def test_forms_of_deeppruner(name):
+    torch.manual_seed(0)
+    views = torch.randn(2, 1, 3, 64, 64, dtype=torch.float64)
+    net = with_statistics(for_small_views(build_model(name)).double(), *views)
+    with torch.no_grad():
+        expected = net(*views).disparity
+        for purpose in ("inference", "training"):
+            found = accelerate(net, purpose)(*views).disparity
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NETWORKS)

@@ -14,6 +14,7 @@ from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
 from mobilestereonet.nets import build_model
 from mobilestereonet.nets.model import Prediction, Preprocessing, StereoModel
+from small_views import for_small_views, with_statistics
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 SIZE = (32, 64)
@@ -265,6 +266,20 @@ def test_any_network_is_exported_at_one_size(name, tmp_path):
     metadata = format_.read_metadata(output)
     assert metadata["size"] == "32 x 64 (height x width)"
     assert (metadata["scale"], metadata["mean"]) == ("255", "100, 110, 120")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["deeppruner-best", "deeppruner-fast"])
+def test_the_particles_of_deeppruner_are_in_the_file(name, tmp_path):
+    needs("onnx")
+    torch.manual_seed(0)
+    net = for_small_views(build_model(name))
+    net = with_statistics(net, *torch.randn(2, 1, 3, 64, 64))
+    done = export_model("onnx", net, tmp_path / "net.onnx", model=name, size=(64, 64))
+    assert done.mean <= 1e-3 and not done.any_size
+    left, right = torch.rand(2, 1, 3, 64, 64)
+    found = FORMATS["onnx"].open(done.path)(left, right)
+    torch.testing.assert_close(found, expected(net, left, right), rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize("kind", ["msnet", "direct"])

@@ -1,10 +1,11 @@
-"""Networks with cost volumes train: gradients reach every parameter, a step lowers the loss."""
+"""Networks train: gradients reach every parameter, a step lowers the loss."""
 
 import pytest
 import torch
 
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.nets import build_model
+from small_views import for_small_views
 
 SIZES = {  # max_disparity, height, width
     "gwcnet-gc": (32, 32, 64),
@@ -13,6 +14,8 @@ SIZES = {  # max_disparity, height, width
     "ganet-11": (12, 48, 96),
     "ganet-deep": (12, 48, 96),
     "fast-ds-cs": (32, 64, 64),
+    "deeppruner-best": (32, 64, 64),
+    "deeppruner-fast": (32, 64, 64),
 }
 
 
@@ -21,6 +24,8 @@ def test_a_step_lowers_the_loss_on_its_batch(name):
     torch.manual_seed(0)
     max_disparity, *size = SIZES[name]
     net = build_model(name, max_disparity=max_disparity)
+    if name.startswith("deeppruner"):
+        for_small_views(net)
     fast = accelerate(net, "training")
     left = torch.rand(2, 3, *size)
     pair = [net.preprocessing(view) for view in (left, left.roll(-5, -1))]

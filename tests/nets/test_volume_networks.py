@@ -46,6 +46,8 @@ def test_the_last_head_is_the_prediction(name):
         ("gcnet", 501_347_254_272, 718_043_316_224, 3_179_553),
         ("psmnet", 184_695_472_128, 256_659_013_504, 5_224_768),
         ("psmnet-basic", 188_772_335_616, 189_355_376_512, 3_672_896),
+        ("deeppruner-best", 119_412_981_760, 129_228_177_280, 7_390_142),
+        ("deeppruner-fast", 49_262_383_104, 51_832_082_304, 7_469_646),
     ],
 )
 def test_counts(name, macs, paper_macs, params):

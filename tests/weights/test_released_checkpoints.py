@@ -1,9 +1,11 @@
 """Released checkpoints of other networks, written here in their documented forms."""
 
+import warnings
+
 import pytest
 import torch
 
-from mobilestereonet import InputError, load_model
+from mobilestereonet import InputError, load_model, save_weights
 from mobilestereonet.nets import build_model
 from mobilestereonet.weights.released_names import released_name
 
@@ -16,6 +18,8 @@ WRAPPED = {
     "gcnet": None,
     "ganet-11": None,
     "ganet-deep": "state_dict",
+    "deeppruner-best": "state_dict",
+    "deeppruner-fast": "state_dict",
 }
 """Under which key a release has its state dict; None where there is no release."""
 
@@ -49,11 +53,26 @@ def test_reads_a_release(name, tmp_path):
     assert all(expected[key].equal(value) for key, value in loaded.state_dict().items())
 
 
-def test_what_the_names_do_not_tell_is_an_option(tmp_path):
-    _, state = released("psmnet")
-    write(tmp_path / "pretrained_model_KITTI2015.tar", state, "state_dict")
-    loaded = load_model(tmp_path / "pretrained_model_KITTI2015.tar", align_corners=True)
-    assert loaded.regression.align_corners
+@pytest.mark.parametrize(
+    ("name", "field", "value", "warning"),
+    [
+        ("psmnet", "align_corners", True, "align_corners: false by default, but weights from bef"),
+        ("deeppruner-best", "sampler", "uniform", 'sampler: "patch_match" by default, but its au'),
+    ],
+)
+def test_what_the_names_do_not_tell_is_asked_for(name, field, value, warning, tmp_path):
+    _, state = released(name)
+    write(tmp_path / "kitti.tar", state, "state_dict")
+    with pytest.warns(UserWarning, match=f"kitti.tar: does not tell {warning}") as caught:
+        loaded = load_model(tmp_path / "kitti.tar")
+    assert len(caught) == 1 and f"--set net.{field}=" in str(caught[0].message)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        chosen = load_model(tmp_path / "kitti.tar", **{field: value})
+        save_weights(chosen, tmp_path / "chosen.safetensors")
+        again = load_model(tmp_path / "chosen.safetensors")
+    assert getattr(loaded.config, field) != value
+    assert getattr(chosen.config, field) == getattr(again.config, field) == value
 
 
 def test_incomplete_releases_are_named(tmp_path):

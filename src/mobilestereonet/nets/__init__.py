@@ -3,6 +3,7 @@
 from mobilestereonet.nets import (  # they register their names
     autodispnet,
     crl,
+    deeppruner,
     dispnet,
     fast_ds_cs,
     ganet,
@@ -45,6 +46,7 @@ __all__ = [
     "autodispnet",
     "build_model",
     "crl",
+    "deeppruner",
     "dispnet",
     "fast_ds_cs",
     "free_fields",

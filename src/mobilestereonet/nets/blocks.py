@@ -6,6 +6,7 @@ v1: MobileNets (Howard et al., 2017); v2: MobileNetV2 (Sandler et al., CVPR 2018
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Literal, cast
 
 from torch import Tensor, nn
@@ -24,11 +25,11 @@ def conv_norm(
     outputs: int,
     *,
     kernel: int = 3,
-    stride: int = 1,
+    stride: int | tuple[int, ...] = 1,
     dilation: int = 1,
     groups: int = 1,
     bias: bool = False,
-    activation: type[nn.ReLU] | type[nn.ReLU6] | None = nn.ReLU,
+    activation: Callable[..., nn.Module] | None = nn.ReLU,
 ) -> nn.Sequential:
     """Convolution, without bias by default, batch norm and, unless None, an activation.
 
@@ -52,12 +53,18 @@ def conv_norm(
     return nn.Sequential(*layers)
 
 
-def transposed_norm(dims: int, inputs: int, outputs: int, *, bias: bool = False) -> nn.Sequential:
-    """3x3(x3) transposed convolution of stride 2 and batch norm: doubles the size."""
-    return nn.Sequential(
-        _TRANSPOSED[dims](inputs, outputs, 3, stride=2, padding=1, output_padding=1, bias=bias),
-        _NORM[dims](outputs),
-    )
+def transposed_norm(
+    dims: int,
+    inputs: int,
+    outputs: int,
+    *,
+    stride: int | tuple[int, ...] = 2,
+    bias: bool = False,
+) -> nn.Sequential:
+    """3x3(x3) transposed convolution and batch norm: multiplies the size by the stride, 1 or 2."""
+    layer = _TRANSPOSED[dims](inputs, outputs, 3, stride=stride, padding=1, bias=bias)
+    layer.output_padding = tuple(step - 1 for step in layer.stride)
+    return nn.Sequential(layer, _NORM[dims](outputs))
 
 
 def depthwise_norm(dims: int, channels: int, *, stride: int, dilation: int) -> nn.Sequential:

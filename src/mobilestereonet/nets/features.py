@@ -65,25 +65,30 @@ class FeatureExtraction(nn.Module):
 
     3 blocks of 32 channels; 16 of 64, the first of stride 2; 3 of 128; 3 of 128 with dilation 2.
     Stages 2, 3 and 4 are concatenated.
+
+    Args:
+        config: Which blocks.
+        eighth: The third stage has stride 2 and the fourth no dilation, as in DeepPruner-Fast.
     """
 
-    def __init__(self, config: NetConfig) -> None:
+    def __init__(self, config: NetConfig, *, eighth: bool = False) -> None:
         super().__init__()
         self.first = _first_convolutions(config)
         self.stage1 = _stage(config, 32, 32, blocks=3)
         self.stage2 = _stage(config, 32, 64, blocks=16, stride=2)
-        self.stage3 = _stage(config, 64, 128, blocks=3)
-        self.stage4 = _stage(config, 128, 128, blocks=3, dilation=2)
+        self.stage3 = _stage(config, 64, 128, blocks=3, stride=2 if eighth else 1)
+        self.stage4 = _stage(config, 128, 128, blocks=3, dilation=1 if eighth else 2)
 
     def forward(self, image: Tensor) -> Tensor:
         """(B, 3, H, W), H and W multiples of 4 -> (B, 320, H / 4, W / 4)."""
-        return torch.cat(self.stages(image), dim=1)
+        return torch.cat(self.stages(image)[1:], dim=1)
 
-    def stages(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Stages 2, 3 and 4: (B, 64, H / 4, W / 4), (B, 128, ...) and (B, 128, ...)."""
-        stage2 = self.stage2(self.stage1(self.first(image)))
+    def stages(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """All stages: (B, 32, H / 2, W / 2), (B, 64, H / 4, W / 4) and twice (B, 128, ...)."""
+        stage1 = self.stage1(self.first(image))
+        stage2 = self.stage2(stage1)
         stage3 = self.stage3(stage2)
-        return stage2, stage3, self.stage4(stage3)
+        return stage1, stage2, stage3, self.stage4(stage3)
 
 
 def channel_reduction() -> nn.Sequential:

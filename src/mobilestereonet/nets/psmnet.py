@@ -6,6 +6,7 @@ last two stages of the features have dilations 1 and 2, in the paper 2 and 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
@@ -24,7 +25,7 @@ from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 POOLING = (8, 16, 32, 64)
-"""Sides of the pyramid's pooling windows, in features of a quarter of the resolution."""
+"""Sides of the pyramid's pooling windows, in pixels of the features."""
 
 FEATURES = 32
 """Channels per view that enter the cost volume."""
@@ -48,25 +49,48 @@ class PSMNetConfig:
     free_fields: ClassVar[tuple[str, ...]] = ("max_disparity", "align_corners")
     """Fields that do not change what a network is called, see `model_name`."""
 
+    untold: ClassVar[dict[str, str]] = {"align_corners": "weights from before 2021 need true"}
+    """Fields that the authors' checkpoints do not tell, and what to know of them."""
+
     def __post_init__(self) -> None:
         check_multiple("max_disparity", self.max_disparity, 16)
 
 
 class PyramidFeatures(nn.Module):
-    """Trunk and spatial pyramid pooling (Sec. 3.2): (B, 3, H, W) -> (B, 32, H / 4, W / 4)."""
+    """Trunk and spatial pyramid pooling (Sec. 3.2).
 
-    def __init__(self, config: PSMNetConfig) -> None:
+    Args:
+        windows: Sides of the pooling windows.
+        eighth: Features at an eighth of the resolution, as in DeepPruner-Fast, not at a quarter.
+        align_corners: See `PSMNetConfig`.
+    """
+
+    def __init__(
+        self,
+        windows: Sequence[int] = POOLING,
+        *,
+        eighth: bool = False,
+        align_corners: bool = False,
+    ) -> None:
         super().__init__()
-        self.align_corners = config.align_corners
-        self.trunk = FeatureExtraction(BASELINE3D)  # the residual stages are those of PSMNet
-        self.pools = nn.ModuleList(nn.AvgPool2d(side) for side in POOLING)
-        self.branches = nn.ModuleList(conv_norm(2, 128, 32, kernel=1) for _ in POOLING)
-        self.fusion = nn.Sequential(conv_norm(2, 320, 128), nn.Conv2d(128, FEATURES, 1, bias=False))
+        self.eighth, self.align_corners = eighth, align_corners
+        # The residual stages are those of PSMNet.
+        self.trunk = FeatureExtraction(BASELINE3D, eighth=eighth)
+        self.pools = nn.ModuleList(nn.AvgPool2d(side) for side in windows)
+        self.branches = nn.ModuleList(conv_norm(2, 128, 32, kernel=1) for _ in windows)
+        channels = (128 if eighth else 64) + 128 + 32 * len(windows)
+        self.fusion = nn.Sequential(
+            conv_norm(2, channels, 128), nn.Conv2d(128, FEATURES, 1, bias=False)
+        )
 
     def forward(self, image: Tensor) -> Tensor:
-        """(B, 3, H, W), H and W at least 256 -> (B, 32, H / 4, W / 4)."""
-        stage2, _, stage4 = self.trunk.stages(image)
-        levels = [
+        """(B, 3, H, W), sides of at least the largest window -> (B, 32, H / 4, W / 4) or / 8."""
+        return self.levels(image)[0]
+
+    def levels(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The features, and stages 2 and 1: (B, 64, H / 4, W / 4) and (B, 32, H / 2, W / 2)."""
+        stage1, stage2, stage3, stage4 = self.trunk.stages(image)
+        regions = [
             F.interpolate(
                 branch(pool(stage4)),
                 size=stage4.shape[-2:],
@@ -75,7 +99,8 @@ class PyramidFeatures(nn.Module):
             )
             for pool, branch in zip(self.pools, self.branches, strict=True)
         ]
-        return cast(Tensor, self.fusion(torch.cat((stage2, stage4, *levels), dim=1)))
+        joined = torch.cat((stage3 if self.eighth else stage2, stage4, *regions), dim=1)
+        return self.fusion(joined), stage2, stage1
 
 
 class StackedHourglass(nn.Module):
@@ -148,7 +173,7 @@ class PSMNet(VolumeModel):
 
     def __init__(self, config: PSMNetConfig) -> None:
         super().__init__(config)
-        self.features = PyramidFeatures(config)
+        self.features = PyramidFeatures(align_corners=config.align_corners)
         self.pre_hourglass = PreHourglass(BASELINE3D, 2 * FEATURES)
         if config.stacked:
             self.head_weights = (0.5, 0.7, 1.0)

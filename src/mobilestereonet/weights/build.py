@@ -74,6 +74,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
     net.load_state_dict(counters | state)
     if bare and not overrides:
         _warn_of_defaults(weights.source, net, values)
+    elif not bare and not weights.config:
+        _warn_of_the_untold(weights.source, net, overrides)
     return net
 
 
@@ -102,6 +104,18 @@ def _check_values(source: str, state: dict[str, Tensor], own: dict[str, Tensor])
     for key, value in state.items():
         if key.endswith("running_var") and (value < 0).any():
             raise InputError(f"{source}: {key} has variances below 0: the file is corrupted")
+
+
+def _warn_of_the_untold(source: str, net: StereoModel, overrides: dict[str, Any]) -> None:
+    """Say which values a checkpoint of a network's authors does not tell, where none was given."""
+    untold: dict[str, str] = getattr(net.config, "untold", {})
+    for name in untold.keys() - overrides.keys():
+        default = json.dumps(getattr(net.config, name))
+        warnings.warn(
+            f"{source}: does not tell {name}: {default} by default, but {untold[name]}: "
+            f"--set net.{name}=VALUE",
+            stacklevel=4,
+        )
 
 
 def _warn_of_defaults(source: str, net: StereoModel, told: dict[str, Any]) -> None:

@@ -144,6 +144,30 @@ _GANET: tuple[_Rule, ...] = (
     (r"(?<!bn_relu)\.0\.(\w+)$", r".conv.\1"),
     (r"(?<!weight_lg\d)\.1\.(\w+)$", r".bn.\1"),
 )
+_DEEPPRUNER: tuple[_Rule, ...] = (
+    (r"^features\.trunk\.first", "feature_extraction.firstconv"),
+    (r"^features\.trunk\.stage", "feature_extraction.layer"),
+    (r"^features\.branches\.(\d)", _number("feature_extraction.branch{}.1", -1, 4)),
+    (r"^features\.fusion", "feature_extraction.lastconv"),
+    (r"^aggregate\.0", "cost_aggregator.reduce"),
+    (r"^aggregate\.1", "cost_aggregator"),
+    (r"(^|\.)reduce\.(\d)", lambda m: f"{m[1]}dres{int(m[2]) // 2}.{int(m[2]) % 2}"),
+    (r"^lower\.", "min_disparity."),
+    (r"^upper\.", "max_disparity."),
+    (r"\.hourglass\.", "_predictor."),
+    (r"^smoothing\.disparity", "ca_disparity_conv"),
+    (r"^smoothing\.scores", "ca_features_conv"),
+    (r"\.smoothing\.disparity", "_conv"),
+    (r"\.smoothing\.scores", "_features_conv"),
+    (r"\.down\.(\d)", lambda m: (".conv1", ".conv1_1", ".conv3")[int(m[1])]),
+    (r"\.same\.(\d)", lambda m: (".conv2", ".conv2_1", ".conv4")[int(m[1])]),
+    (r"\.up\.(\d)", _number(".conv{}", 1, 5)),
+    (r"\.score\.", ".last_conv3d_layer."),
+    (r"^refinements\.0", "refinement_net"),
+    (r"^refinements\.1", "refinement_net1"),
+    (r"\.convs\.", ".conv1."),
+    (r"\.residual\.", ".classif1."),
+)
 
 
 _RULES: dict[str, tuple[_Rule, ...]] = {
@@ -155,6 +179,8 @@ _RULES: dict[str, tuple[_Rule, ...]] = {
     "gcnet": _GCNET,
     "ganet-11": _GANET,
     "ganet-deep": _GANET,
+    "deeppruner-best": _DEEPPRUNER,
+    "deeppruner-fast": _DEEPPRUNER,
 }
 MARKS = {
     "msnet2d": "feature_extraction.",
@@ -163,6 +189,7 @@ MARKS = {
     **dict.fromkeys(("gwcnet-g", "gwcnet-gc", "gwcnet-gc-base"), "feature_extraction."),
     "gcnet": "res_block.",
     **dict.fromkeys(("ganet-11", "ganet-deep"), "cost_agg."),
+    **dict.fromkeys(("deeppruner-best", "deeppruner-fast"), "cost_aggregator."),
 }
 """By network, what names in its released checkpoints hold and ours never do."""
 

@@ -1,0 +1,359 @@
+"""DeepPruner (Duggal et al., ICCV 2019), "best" and "fast".
+
+PatchMatch looks for a few likely disparities of each pixel, a range predictor cuts the range down
+to where they agree, and only a few disparities within that are aggregated: at a quarter ("best")
+or an eighth ("fast") of the resolution. Refinements lead from there to the full one.
+
+PatchMatch starts from random particles. Here a seed gives them, so that in eval mode a pair has one
+result; in training each step has particles of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import ClassVar, Literal, cast
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
+from mobilestereonet.nets.patch_match import candidate_volume, patch_match
+from mobilestereonet.nets.psmnet import FEATURES, POOLING, PyramidFeatures
+from mobilestereonet.nets.registry import register_model
+from mobilestereonet.nets.regression import (
+    SLOPE,
+    RegressionModel,
+    RegressionOutputs,
+    enlarged,
+)
+
+Sampler = Literal["patch_match", "uniform"]
+"""How the disparities within the predicted range are chosen."""
+
+PARTICLES = 12
+"""Disparities that PatchMatch gives on the whole range; its two ends join them."""
+
+PRUNED = 7
+"""Disparities within the predicted range; its two ends join them. Also its least width, in px."""
+
+UPPER_QUANTILE, LOWER_QUANTILE = 0.95, 0.05
+"""Shares of pixels whose disparity is to be below the predicted ends of the range."""
+
+MAX_SEED = 2**32 - 1
+
+_ACROSS = (1, 2, 2)
+"""Stride of the 3D layers: rows and columns, not the candidates."""
+
+_conv = partial(conv_norm, activation=partial(nn.LeakyReLU, SLOPE))
+"""Convolution, batch norm and leaky ReLU."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepPrunerConfig:
+    """DeepPruner as data.
+
+    Attributes:
+        max_disparity: Largest disparity that is searched; a multiple of the scale. The refinements
+            may leave this range.
+        scale: The search takes place at 1 / scale of the resolution: 4 ("best") or 8 ("fast").
+        sampler: Disparities within the predicted range: "patch_match" runs PatchMatch again, as in
+            the paper and for the authors' SceneFlow weights; "uniform" spaces them evenly, as the
+            authors' KITTI weights need it.
+        seed: Of PatchMatch's particles; the same seed gives the same result.
+    """
+
+    max_disparity: int = 192
+    scale: Literal[4, 8] = 4
+    sampler: Sampler = "patch_match"
+    seed: int = 0
+
+    free_fields: ClassVar[tuple[str, ...]] = ("max_disparity", "sampler", "seed")
+    """Fields that do not change what a network is called, see `model_name`."""
+
+    untold: ClassVar[dict[str, str]] = {"sampler": "its authors' KITTI weights need uniform"}
+    """Fields that the authors' checkpoints do not tell, and what to know of them."""
+
+    def __post_init__(self) -> None:
+        if self.max_disparity % self.scale or self.max_disparity < self.scale:
+            raise InputError(
+                f"max_disparity must be a positive multiple of {self.scale}, got "
+                f"{self.max_disparity}"
+            )
+        if not 0 <= self.seed <= MAX_SEED:
+            raise InputError(f"seed must be 0 .. {MAX_SEED}, got {self.seed}")
+
+
+class Hourglass(nn.Module):
+    """Scores of candidates: to an eighth of the height and width and up again, with skips.
+
+    Args:
+        add_input: The input is added to the last level, too.
+    """
+
+    def __init__(self, *, add_input: bool = False) -> None:
+        super().__init__()
+        self.add_input = add_input
+        steps = list(pairwise((16, 32, 64, 128)))
+        self.down = nn.ModuleList(_conv(3, fine, coarse, stride=_ACROSS) for fine, coarse in steps)
+        self.same = nn.ModuleList(_conv(3, coarse, coarse) for _, coarse in steps)
+        self.up = nn.ModuleList(
+            transposed_norm(3, coarse, fine, stride=_ACROSS) for fine, coarse in reversed(steps)
+        )
+        self.score = nn.Sequential(
+            _conv(3, 16, 32), nn.Conv3d(32, 1, kernel_size=3, padding=1, bias=False)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, 16, n, H, W), H and W multiples of 8 -> scores (B, n, H, W)."""
+        levels = [x]
+        for down, same in zip(self.down, self.same, strict=True):
+            coarse = down(levels[-1])
+            levels.append(coarse + same(coarse))
+        y = levels.pop()
+        for up in self.up:
+            y, skip = up(y), levels.pop()
+            if levels or self.add_input:
+                y = y + skip
+        return cast(Tensor, self.score(y).squeeze(1))
+
+
+class Smoothing(nn.Module):
+    """A 5x5 convolution of a disparity map and one of the scores of n candidates."""
+
+    def __init__(self, candidates: int) -> None:
+        super().__init__()
+        self.disparity = nn.Sequential(nn.Conv2d(1, 1, 5, padding=2), nn.ReLU(inplace=True))
+        self.scores = _conv(2, candidates, candidates, kernel=5, bias=True)
+
+    def start_as_identity(self) -> None:
+        """Fresh weights that leave the disparity as it is.
+
+        Weights drawn around zero would as often as not give the ReLU nothing but zeros, for good.
+        """
+        conv = cast(nn.Conv2d, self.disparity[0])
+        nn.init.dirac_(conv.weight)
+        nn.init.zeros_(cast(Tensor, conv.bias))
+
+    def forward(self, disparity: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, 1, H, W) and (B, n, H, W) -> a disparity and features of the same shapes."""
+        return self.disparity(disparity), self.scores(scores)
+
+
+class RangeEnd(nn.Module):
+    """Predicts one end of each pixel's range."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hourglass = Hourglass()
+        self.smoothing = Smoothing(PARTICLES + 2)
+
+    def forward(self, volume: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, 16, n, H, W) and (B, n, H, W) -> disparity (B, 1, H, W), features (B, n, H, W)."""
+        scores = self.hourglass(volume)
+        smoothed: tuple[Tensor, Tensor] = self.smoothing(expectation(scores, candidates), scores)
+        return smoothed
+
+
+class Refinement(nn.Module):
+    """Corrects a disparity by features of the left view, and doubles its size."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.convs = nn.Sequential(
+            _conv(2, inputs, 32),
+            _conv(2, 32, 32),
+            _conv(2, 32, 32),
+            _conv(2, 32, 16, dilation=2),
+            _conv(2, 16, 16, dilation=4),
+            _conv(2, 16, 16),
+        )
+        self.residual = nn.Conv2d(16, 1, 3, padding=1, bias=False)
+        self.activation = nn.ReLU(inplace=True)
+
+    def forward(self, *maps: Tensor) -> Tensor:
+        """Features (B, C, H, W) and, last, the disparity (B, 1, H, W) -> (B, 1, 2 H, 2 W)."""
+        residual = self.residual(self.convs(torch.cat(maps, dim=1)))
+        return doubled(self.activation(residual + maps[-1]))
+
+
+_PAPER = (
+    "Duggal et al., DeepPruner: Learning Efficient Stereo Matching via Differentiable PatchMatch, "
+    "ICCV 2019"
+)
+_LICENCE = "Uber Non-Commercial License (code), CC BY-NC-SA 3.0 (weights): non-commercial use alone"
+_TRAINED_ON = "SceneFlow cleanpass (sampler patch_match); that and KITTI 2012 and 2015 (uniform)"
+
+
+@register_model(
+    "deeppruner-fast",
+    config=DeepPrunerConfig(scale=8),
+    paper=_PAPER,
+    licence=_LICENCE,
+    checkpoints="uber-research/DeepPruner on GitHub: DeepPruner-fast-sceneflow.tar "
+    "(sampler=patch_match), DeepPruner-fast-kitti.tar (sampler=uniform)",
+    trained_on=_TRAINED_ON,
+    published={"SceneFlow EPE, px": 0.97, "KITTI 2015 test D1-all, %": 2.59},
+)
+@register_model(
+    "deeppruner-best",
+    paper=_PAPER,
+    licence=_LICENCE,
+    checkpoints="uber-research/DeepPruner on GitHub: DeepPruner-best-sceneflow.tar "
+    "(sampler=patch_match), DeepPruner-best-kitti.tar (sampler=uniform)",
+    trained_on=_TRAINED_ON,
+    published={"SceneFlow EPE, px": 0.86, "KITTI 2015 test D1-all, %": 2.15},
+)
+class DeepPruner(RegressionModel):
+    """PatchMatch, a predicted range for each pixel, and aggregation within it.
+
+    Its scores are of each pixel's own candidates, and refinements follow them: it has no
+    distribution over disparities. Views need sides of at least 256 px, as PSMNet's.
+    """
+
+    config: DeepPrunerConfig
+
+    def __init__(self, config: DeepPrunerConfig) -> None:
+        super().__init__(config)
+        fast = config.scale == 8
+        windows = POOLING[:3] if fast else POOLING
+        self.min_side, self.size_multiple = config.scale * windows[-1], 8 * config.scale
+        # The refined ones, the final one first; the aggregated one; both ends of the range.
+        self.head_weights = (*(1.6, 1.3)[-1 - fast :], 1.0, 0.7, 0.7)
+        self.features = PyramidFeatures(windows, eighth=fast)
+        self.reduce = _reduction(2 * FEATURES + 1)
+        self.lower, self.upper = RangeEnd(), RangeEnd()
+        self.aggregate = nn.Sequential(
+            _reduction(2 * FEATURES + 1 + 2 * (PARTICLES + 2)), Hourglass(add_input=True)
+        )
+        self.smoothing = Smoothing(PRUNED + 2)
+        first, *others = (64, 32) if fast else (32,)
+        self.refinements = nn.ModuleList(
+            (Refinement(first + PRUNED + 2 + 1), *(Refinement(inputs + 1) for inputs in others))
+        )
+        self._step = 0
+        initialise(self)
+        for smoothing in (self.lower.smoothing, self.upper.smoothing, self.smoothing):
+            smoothing.start_as_identity()
+
+    def set_step(self, step: int) -> None:
+        """Particles of their own for each training step, see `StereoModel`."""
+        self._step = step
+
+    def outputs(self, left: Tensor, right: Tensor) -> RegressionOutputs:
+        """Disparities in the order of ``head_weights``, all of full size; see `RegressionModel`.
+
+        In eval mode the final one alone.
+        """
+        self.check_views(left, right)
+        features, *levels = self.features.levels(left)
+        pair = features, self.features(right)
+        random = np.random.RandomState([self.config.seed, self._step if self.training else 0])
+        reach = self.max_disparity // self.config.scale
+        low = torch.zeros_like(features[:, :1])
+        candidates = self.candidates(*pair, low, low + reach, PARTICLES, "patch_match", random)
+        volume = self.reduce(candidate_volume(*pair, candidates))
+        lower, lower_features = self.lower(volume, candidates)
+        upper, upper_features = self.upper(volume, candidates)
+
+        low, high = pruned_range(lower, upper, reach)
+        candidates = self.candidates(*pair, low, high, PRUNED, self.config.sampler, random)
+        both = torch.cat((lower_features, upper_features), dim=1).unsqueeze(2)
+        both = both.expand(-1, -1, candidates.shape[1], -1, -1)
+        scores = self.aggregate(torch.cat((candidate_volume(*pair, candidates), both), dim=1))
+        aggregated = doubled(expectation(scores, candidates))
+        disparity, maps = self.smoothing(aggregated, enlarged(scores, 2))
+
+        guides: list[tuple[Tensor, ...]] = [(each,) for each in levels[-len(self.refinements) :]]
+        guides[0] += (maps,)
+        disparities = [disparity]
+        for refinement, guide in zip(self.refinements, guides, strict=True):
+            disparities.append(refinement(*guide, disparities[-1]))
+        heads = [*reversed(disparities), upper, lower] if self.training else disparities[-1:]
+        width = left.shape[-1]
+        full = [(head, width // head.shape[-1]) for head in heads]
+        predictions = [(scale * enlarged(head, scale)).squeeze(1) for head, scale in full]
+        return RegressionOutputs(predictions, predictions[0])
+
+    @torch.no_grad()
+    def candidates(
+        self,
+        left: Tensor,
+        right: Tensor,
+        low: Tensor,
+        high: Tensor,
+        count: int,
+        sampler: Sampler,
+        random: np.random.RandomState,
+    ) -> Tensor:
+        """Whole disparities of each pixel, in pixels of the features: (B, count + 2, H, W).
+
+        Args:
+            left: Features of the left views, (B, C, H, W).
+            right: Features of the right views, likewise.
+            low: Lower end of each pixel's range, (B, 1, H, W); a candidate itself.
+            high: Upper end, likewise.
+            count: Number of candidates between them.
+            sampler: How these are chosen.
+            random: Where the particles of "patch_match" come from, the same ones for all pairs of
+                a batch, so that no result depends on its neighbours.
+        """
+        if sampler == "patch_match":
+            offsets = random.random_sample((1, count, *low.shape[-2:])).astype(np.float32)
+            particles = torch.from_numpy(offsets).to(low.device)
+            samples = patch_match(left, right, low, high, particles)
+        else:
+            steps = torch.arange(1, count + 1, device=low.device)[:, None, None]
+            samples = low + steps * (high - low) / (count + 1)
+        return torch.cat((low.floor(), samples, high.ceil()), dim=1).trunc()
+
+    def training_loss(self, outputs: RegressionOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
+        """Smooth L1 of every disparity, weighted, and the quantile loss of the range's ends.
+
+        See `StereoModel`.
+        """
+        truth = torch.where(valid, disparity, 0)
+        losses = [
+            weight * F.smooth_l1_loss(prediction, truth, reduction="none")
+            for weight, prediction in zip(self.head_weights, outputs.predictions, strict=True)
+        ]
+        for quantile, end in zip(
+            (UPPER_QUANTILE, LOWER_QUANTILE), outputs.predictions[-2:], strict=True
+        ):
+            error = truth - end
+            losses.append(error * (quantile - (error < 0).to(error.dtype)))
+        return (torch.stack(losses).sum(dim=0) * valid).sum() / valid.sum().clamp_min(1)
+
+
+def expectation(scores: Tensor, candidates: Tensor) -> Tensor:
+    """Mean of the candidates under the softmax of their scores: (B, n, H, W) -> (B, 1, H, W)."""
+    probability = scores.to(candidates.dtype).softmax(dim=1)
+    return (probability * candidates).sum(dim=1, keepdim=True).to(scores.dtype)
+
+
+def pruned_range(lower: Tensor, upper: Tensor, reach: int) -> tuple[Tensor, Tensor]:
+    """The range between two disparities, at least `PRUNED` px wide within 0 .. reach.
+
+    Args:
+        lower: Predicted lower end, (B, 1, H, W).
+        upper: Predicted upper end, likewise; whichever is less is the lower one.
+        reach: Largest disparity.
+    """
+    wide = torch.promote_types(lower.dtype, torch.float32)  # bfloat16 has no fractions from 128 on
+    low, high = torch.minimum(lower, upper).to(wide), torch.maximum(lower, upper).to(wide)
+    low = torch.minimum(low, (low + high - PRUNED) / 2).clamp(0, reach)
+    return low, torch.maximum(high, low + PRUNED).clamp_max(reach)
+
+
+def doubled(disparity: Tensor) -> Tensor:
+    """A disparity (B, 1, H, W) at twice the resolution, in pixels of that: (B, 1, 2 H, 2 W)."""
+    return 2 * enlarged(disparity, 2)
+
+
+def _reduction(inputs: int) -> nn.Sequential:
+    """3D convolutions from a volume to the 16 channels of an hourglass."""
+    return nn.Sequential(*(_conv(3, i, o) for i, o in pairwise((inputs, 64, 32, 32, 16))))
