@@ -91,7 +91,7 @@ MISTAKES = {
     "submit kitty2015 --root . -o out.zip": ("",),
     "train run": (
         *(*TRAINING, "--model msnet4d", "--model my_net.py:MyNet", "--weights absent.ckpt"),
-        *("--max-time 3h", "--devices 0", "--num-nodes 0"),
+        *("--max-time 3h", "--devices 0", "--num-nodes 0", "--set net.colour=red"),
     ),
     "ablate runs": (*TRAINING, "--table 4", "--models msnet2d,msnet4d", "--steps 0"),
     "average left.ckpt -o out.safetensors": ("",),

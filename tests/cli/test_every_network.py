@@ -11,6 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from extras import need_extra
 from mobilestereonet import InputError, save_weights
 from mobilestereonet.data.augment import AugmentConfig, augment
 from mobilestereonet.engines import choose
@@ -33,6 +34,7 @@ from short_run import fit
 HEIGHT, WIDTH = 32, 64
 NAMES = [*{model_info(name).network: name for name in reversed(list_models())}.values()]
 LARGE_VIEWS = [name for name in NAMES if model_info(name).network.min_side > HEIGHT]
+EXPORTABLE = [name for name in NAMES if model_info(name).network.exportable]
 SMALL = {"width": 8, "hidden_width": 8, "stem": 8, "hourglasses": 1, "groups": 8, "passes": 1}
 
 slow_with_large_views = pytest.mark.parametrize(
@@ -143,7 +145,7 @@ def test_bench(name, weights, msnet, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_cost(name, msnet):
     values = [f"--set=net.{key}={value}" for key, value in smallest(name).items()]
-    side = fitting_side(model_info(name).network, 192)
+    side = fitting_side(model_info(name).network, 64)
     size = ("--height", side, "--width", side)
     code, out, err = msnet("cost", "--model", name, *values, *size, "--json")
     assert code == 0, err
@@ -168,10 +170,20 @@ def test_average(name, weights, msnet):
     torch.testing.assert_close(mean[key], own[key] + 0.5)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in EXPORTABLE if name not in LARGE_VIEWS])
+def test_export_onnx(name, weights, msnet):
+    need_extra("onnx")
+    net = build(name)
+    size = [fitting_side(net, side) for side in (HEIGHT, net.max_disparity + net.size_multiple)]
+    command = ("export", "onnx", "--height", size[0], "--width", size[1], "-o", f"{name}.onnx")
+    code, out, err = msnet(*command, "--weights", weights(name))
+    assert code == 0, err
+    assert "px from torch on average" in out  # and compared
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in EXPORTABLE])
 def test_what_cannot_be_exported_is_refused(name, weights, msnet):
-    if model_info(name).network.exportable:
-        pytest.skip("it can, see the next test")
     for arguments in (["export", "onnx"], ["export", "pt2"]):
         code, out, err = msnet(*arguments, "--weights", weights(name), "-o", f"net.{arguments[1]}")
         assert (code, out) == (2, "")
@@ -191,6 +203,7 @@ def scene():
     return ProceduralScenes(config)[0]
 
 
+@pytest.mark.filterwarnings("ignore")
 @slow_with_large_views
 def test_a_step_of_training_lowers_the_loss_on_its_batch(name, scene):
     net = build(name)

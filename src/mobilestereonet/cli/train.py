@@ -7,7 +7,12 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import matches, network_name, weights_file
+from mobilestereonet.cli.early import (
+    check_network_values,
+    matches,
+    network_name,
+    weights_file,
+)
 from mobilestereonet.cli.options import Recipe
 from mobilestereonet.cli.training_options import RecipeOptions, TrainerOptions
 
@@ -60,13 +65,17 @@ def train(
     both train on procedural scenes, which need no download. The others are published schedules.
     Ctrl-C ends the run after its current step, with a checkpoint.
     """
+    values = options.values
+    if model is not None:
+        values["model"] = model
+    if not resume and not (recipe or "").endswith(".json"):  # whose network may be the user's own
+        network_values = [name[4:] for name in values if name.startswith("net.")]
+        check_network_values(values.get("model"), network_values)
+
     from mobilestereonet.training.named_recipes import default_recipe, get_recipe, read_recipe
     from mobilestereonet.training.recipe import override
     from mobilestereonet.training.run import train as run
 
-    values = options.values
-    if model is not None:
-        values["model"] = model
     if resume and recipe is None:
         chosen = read_recipe(
             folder / "recipe.json", trusted=[str(values.get(name)) for name in ("model", "loss")]
