@@ -89,8 +89,8 @@ def test_the_exported_files_are_those_that_the_text_uses():
         if comment and "--list" not in words:
             _, rest = find_command(shlex.split(words)[1:])
             model = rest[rest.index("--model") + 1] if "--model" in rest else DEFAULT_MODEL
-            int8 = "-int8" if "int8" in rest else ""
-            name = model + int8 + FORMATS[rest[0]].ending
+            precision = f"-{rest[rest.index('--precision') + 1]}" if "--precision" in rest else ""
+            name = model + precision + FORMATS[rest[0]].ending
             assert comment.split()[0].rstrip(":") == name
             written.add(name)
     used = {

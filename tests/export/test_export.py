@@ -37,7 +37,18 @@ def net():
 
 def expected(net, left, right):
     with torch.no_grad():
-        return net(*map(net.preprocessing, (left, right))).disparity
+        return net(*map(net.preprocessing, (left, right)))
+
+
+def assert_like_torch(found, net, left, right, *, disparity=1e-3, confidence=1e-3):
+    """Disparity in px, and the confidence of a network that has one."""
+    for name, tolerance in (("disparity", disparity), ("confidence", confidence)):
+        found_map, wanted = getattr(found, name), getattr(expected(net, left, right), name)
+        assert (found_map is None) == (wanted is None)
+        if wanted is not None:
+            torch.testing.assert_close(
+                found_map, wanted, rtol=0, atol=tolerance, check_stride=False
+            )
 
 
 def needs(name, *, precision="fp32"):
@@ -64,15 +75,14 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     sizes = [SIZE, (48, 112)] if format_.dynamic else [SIZE]
     for size in sizes:
         left, right = torch.rand(2, 1, 3, *size)
-        torch.testing.assert_close(
-            run(left, right), expected(net, left, right), rtol=0, atol=1e-3, check_stride=False
-        )
+        assert_like_torch(run(left, right), net, left, right)
 
     metadata = format_.read_metadata(output)
     assert metadata["model"] == "small"
     assert metadata["colour_order"] == "RGB"
     assert metadata["mean"] == "0.485, 0.456, 0.406"
     assert metadata["disparity_range"] == "0..31"
+    assert metadata["confidence"].startswith("probability that the disparity is within 2 px")
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
@@ -89,14 +99,22 @@ def test_files_of_networks_with_a_coarse_pass(name, fields, tmp_path):
     output = tmp_path / f"small{format_.ending}"
     assert export_model(name, net, output, model="small", size=(32, 96)).mean <= 1e-4
     left, right = torch.rand(2, 1, 3, 32, 96)
-    torch.testing.assert_close(
-        format_.open(output)(left, right),
-        expected(net, left, right),
-        rtol=0,
-        atol=1e-3,
-        check_stride=False,
-    )
+    assert_like_torch(format_.open(output)(left, right), net, left, right)
     assert format_.read_metadata(output)["size_multiple"] == "32"
+
+
+def test_an_onnx_file_in_half_precision(net, tmp_path):
+    needs("onnx")
+    net = replace_estimator(net, "mean")
+    output = tmp_path / "half.onnx"
+    done = export_model("onnx", net, output, model="small", precision="fp16", size=SIZE)
+    assert 0 < done.mean < 0.05
+    left, right = torch.rand(2, 1, 3, 48, 112)
+    found = FORMATS["onnx"].open(output)(left, right)
+    assert_like_torch(found, net, left, right, disparity=0.2, confidence=0.02)
+    weights = sum(weight.numel() for weight in net.parameters())
+    assert OnnxFileEngine(f"onnx:{output}").precision == "fp16"
+    assert output.stat().st_size < 2 * weights + 400_000
 
 
 def replace_estimator(net, estimator):
@@ -140,7 +158,7 @@ class Wrong(Format):
         path.with_name("other").write_text("new")
 
     def open(self, path):
-        return lambda left, right: torch.full((1, *left.shape[-2:]), self.value)
+        return lambda left, right: Prediction(torch.full((1, *left.shape[-2:]), self.value))
 
     def read_metadata(self, path):
         return {}
@@ -261,8 +279,7 @@ def test_any_network_is_exported_at_one_size(name, tmp_path):
     done = export_model(name, net, output, model="direct", size=SIZE)
     assert done.mean <= 1e-4 and not done.any_size
     pair = torch.rand(2, 1, 3, *SIZE)
-    found = format_.open(output)(*pair)
-    torch.testing.assert_close(found, expected(net, *pair), rtol=0, atol=1e-3, check_stride=False)
+    assert_like_torch(format_.open(output)(*pair), net, *pair)
     metadata = format_.read_metadata(output)
     assert metadata["size"] == "32 x 64 (height x width)"
     assert (metadata["scale"], metadata["mean"]) == ("255", "100, 110, 120")
@@ -292,8 +309,9 @@ def test_an_exported_onnx_file_is_an_engine_without_options(kind, net, tmp_path)
     assert engine.fixed_size == (None if kind == "msnet" else SIZE)
     assert engine.size_multiple == (16 if kind == "msnet" else 1)
     pair = torch.rand(2, 1, 3, *SIZE)
-    found = engine(*map(engine.preprocessing, pair)).disparity
-    torch.testing.assert_close(found, expected(net, *pair), rtol=0, atol=1e-3)
+    assert engine.has_confidence == (kind == "msnet")
+    assert_like_torch(engine(*map(engine.preprocessing, pair), True), net, *pair)
+    assert engine(*map(engine.preprocessing, pair)).confidence is None
     engine(*torch.rand(2, 1, 3, 16, 24))  # narrower than the graph takes: padded
 
 
@@ -356,9 +374,7 @@ def test_command(msnet, net, tmp_path):
     assert json.loads(files["metadata.json"])["disparity_range"] == "0..31"
     torch.manual_seed(0)  # two disparities as likely as one another are a matter of rounding
     left, right = torch.rand(2, 1, 3, *SIZE)
-    torch.testing.assert_close(
-        program.module()(left, right), expected(net, left, right), rtol=0, atol=1e-3
-    )
+    assert_like_torch(Prediction(*program.module()(left, right)), net, left, right)
 
 
 def test_command_lists_the_formats(msnet):

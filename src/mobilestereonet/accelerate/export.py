@@ -7,7 +7,7 @@ axis, so it takes one pair.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from mobilestereonet.accelerate.modules import inference_copy
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import PlanewiseLearnedVolume
 from mobilestereonet.accelerate.slices import slice_layers
-from mobilestereonet.accelerate.soft_argmax import closed_form, upsample, use_closed_form
+from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax, use_closed_form
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.coarse_pass import (
     BAND_STEP,
@@ -30,7 +30,7 @@ from mobilestereonet.nets.coarse_pass import (
     spread_band,
 )
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
-from mobilestereonet.nets.model import StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 from mobilestereonet.nets.msnet import MobileStereoNet
 
 BLOCK_PLANES = 4
@@ -47,6 +47,9 @@ class ExportableNet(nn.Module):
         size_multiple: Height and width must be multiples of this.
         min_width: Smallest width in pixels.
         any_size: Whether a graph that was traced at one size serves any.
+        outputs: Names of what it gives: "disparity" and, of a network with scores, "confidence";
+            or "scores" alone.
+        finish: What becomes of a prediction, with the RGB views that it is for; needs ``rgb``.
     """
 
     any_size = False
@@ -57,7 +60,7 @@ class ExportableNet(nn.Module):
         Args:
             net: The network, with any weights, in any mode and on any device; it stays as it is.
             rgb: Take RGB in 0..1 and preprocess it inside; otherwise preprocessed views.
-            scores: Give the last head's scores at their own resolution in place of the disparity.
+            scores: Give the last head's scores at their own resolution in place of the prediction.
 
         Raises:
             InputError: If scores are asked of a network that has none, or no graph can hold it.
@@ -73,7 +76,11 @@ class ExportableNet(nn.Module):
         self.config, self.preprocessing = net.config, net.preprocessing
         self.max_disparity, self.size_multiple = net.max_disparity, net.size_multiple
         self.min_width = max(net.max_disparity + net.size_multiple, net.min_side)
-        self.rgb, self.gives_scores = rgb, scores
+        self.rgb = rgb
+        self.finish: Callable[[Prediction, Tensor, Tensor], Prediction] | None = None
+        self.outputs: tuple[str, ...] = ("disparity",)
+        if isinstance(net, VolumeModel):
+            self.outputs = ("scores",) if scores else ("disparity", "confidence")
         net = inference_copy(net).cpu()
         dtype = next((weight.dtype for weight in net.parameters()), torch.float32)
         net.to(torch.promote_types(dtype, torch.float32))
@@ -85,7 +92,7 @@ class ExportableNet(nn.Module):
         use_closed_form(net, in_rows=False)
         self.net = net
 
-    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+    def forward(self, left: Tensor, right: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Match one pair.
 
         Args:
@@ -94,18 +101,28 @@ class ExportableNet(nn.Module):
             right: Right view, likewise.
 
         Returns:
-            Disparity (1, H, W) in pixels, or scores (1, D, H / s, W / s).
+            What ``outputs`` names: disparity in pixels and confidence in 0..1, (1, H, W) float32
+            each, or scores (1, D, H / s, W / s).
         """
+        views = left, right
         if self.rgb:
-            left, right = self.preprocessing(left), self.preprocessing(right)
-        return self._match(left, right)
+            dtype = next((weight.dtype for weight in self.parameters()), left.dtype)
+            left, right = (self.preprocessing(view).to(dtype) for view in views)
+        if self.outputs == ("scores",):
+            return self._scores(left, right)
+        prediction = self._predict(left, right)
+        if self.finish is not None:
+            prediction = self.finish(prediction, *views)
+        found = tuple(getattr(prediction, name) for name in self.outputs)
+        return found if len(found) > 1 else found[0]
 
-    def _match(self, left: Tensor, right: Tensor) -> Tensor:
-        if self.gives_scores:
-            assert isinstance(self.net, VolumeModel)
-            return self.net.scores(left, right)
-        disparity: Tensor = self.net(left, right).disparity
-        return disparity
+    def _predict(self, left: Tensor, right: Tensor) -> Prediction:
+        prediction: Prediction = self.net(left, right)
+        return prediction
+
+    def _scores(self, left: Tensor, right: Tensor) -> Tensor:
+        assert isinstance(self.net, VolumeModel)
+        return self.net.scores(left, right)
 
 
 def exportable_form(
@@ -146,7 +163,7 @@ class ExportableMobileStereoNet(ExportableNet):
 
     def _build(self, net: StereoModel) -> None:
         assert isinstance(net, MobileStereoNet)
-        self.estimator = net.regression.estimator
+        self.regression = ClosedFormSoftArgmax(net.regression, in_rows=False)
         self.features, self.reduction = net.features, net.reduction
         self.volume = (
             BlockwiseLearnedVolume(net.volume)
@@ -162,23 +179,24 @@ class ExportableMobileStereoNet(ExportableNet):
         if self.conv3d_as_2d:
             slice_layers(self)
 
-    def _match(self, left: Tensor, right: Tensor) -> Tensor:
-        scores = self._all_scores(torch.cat((left, right)))
-        return scores if self.gives_scores else closed_form(upsample(scores), self.estimator)
+    def _predict(self, left: Tensor, right: Tensor) -> Prediction:
+        scores = self._scores(left, right)
+        return Prediction(self.regression(scores), self.regression.confidence(scores))
 
-    def _all_scores(self, views: Tensor) -> Tensor:
+    def _scores(self, left: Tensor, right: Tensor) -> Tensor:
+        views = torch.cat((left, right))
         planes, band = self.config.planes, self.config.band_planes
         if not self.config.coarse_pass:
-            return self._scores(views, planes)
-        coarse = self._scores(halve(views), planes // 2)
+            return self._pass(views, planes)
+        coarse = self._pass(halve(views), planes // 2)
         guidance = guidance_in_four_dimensions(coarse)
         if not band:
-            return self._scores(views, planes, guidance)
+            return self._pass(views, planes, guidance)
         start = band_start(coarse, band)
-        scores = self._scores(views, band, cut_band(guidance, start, band), start)
+        scores = self._pass(views, band, cut_band(guidance, start, band), start)
         return spread_band(scores, start, planes)
 
-    def _scores(
+    def _pass(
         self,
         views: Tensor,
         planes: int,

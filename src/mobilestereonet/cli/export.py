@@ -49,6 +49,12 @@ def export(
             callback=existing_folder,
         ),
     ] = None,
+    with_refinement: Annotated[
+        bool,
+        typer.Option(
+            "--with-refinement", help="Refine the disparity inside the file, as msnet predict does."
+        ),
+    ] = False,
     list_: Annotated[
         bool, typer.Option("--list", help="List the formats and what is installed.")
     ] = False,
@@ -79,6 +85,7 @@ def export(
         precision=precision,
         size=(height, width),
         calibration=calibration,
+        refine=with_refinement,
     )
     print(f"{name} as {format_}, {precision}: {_sentence(written.versions)}")
     print(f"{written.path}: {written.size / 1e6:.2f} MB")

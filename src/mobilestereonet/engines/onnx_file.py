@@ -23,6 +23,7 @@ from mobilestereonet.engines.onnxruntime import find_provider, open_session
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
+_CONFIDENCE = "confidence"
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
 
 
@@ -52,11 +53,11 @@ class OnnxFileEngine:
         path: The file.
         options: What it expects.
         fixed_size: Height and width that the file takes; None if it takes any.
+        has_confidence: Whether it has an output ``confidence``, as this package's exports have.
     """
 
     name = "onnxruntime"
     prefix = "onnx:"
-    has_confidence = False
     min_side = 1
 
     def __init__(
@@ -73,20 +74,23 @@ class OnnxFileEngine:
         metadata = dict(self._session.get_modelmeta().custom_metadata_map)
         self.options = read_options(self.path, options_in_metadata(metadata) | given)
         self._inputs = _views(self.path, self._session.get_inputs(), self.options)
-        self._output = _disparity(self.path, self._session.get_outputs(), self.options)
+        outputs = self._session.get_outputs()
+        self._output = _disparity(self.path, outputs, self.options)
+        self.has_confidence = _CONFIDENCE in [description.name for description in outputs]
         shape = self._inputs[0].shape
         self._channels_last = shape[1] != 3 and shape[3] == 3
         height, width = shape[1:3] if self._channels_last else shape[2:]
         any_size = isinstance(height, str | None) or isinstance(width, str | None)
         self.fixed_size: tuple[int, int] | None = None if any_size else (height, width)
         self._type = _TYPES[self._inputs[0].type]
-        self.precision = "fp16" if self._type == np.float16 else "fp32"
+        half = self._type == np.float16
+        self.precision = metadata.get("precision", "fp16" if half else "fp32")
         self.size_multiple = 1 if self.fixed_size else self.options.size_multiple
         self.max_disparity = self.options.max_disparity
         self.preprocessing = Preprocessing(self.options.mean, self.options.std, self.options.scale)
 
     def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
-        """Match a batch of pairs, one after the other, see `Engine`; there is no confidence."""
+        """Match a batch of pairs, one after the other, see `Engine`."""
         if left.shape != right.shape or left.ndim != 4 or left.shape[1] != 3:
             raise InputError(
                 f"{self.path} takes two views of shape (B, 3, H, W), got "
@@ -95,8 +99,12 @@ class OnnxFileEngine:
         height, width = left.shape[-2:]
         size = self._padded_size(height, width)
         views = [pad(view.float().cpu(), *size) for view in (left, right)]
-        maps = [self._match(*pair) for pair in zip(*(view.split(1) for view in views), strict=True)]
-        return Prediction(unpad(torch.cat(maps), height, width).to(self.device))
+        pairs = zip(*(view.split(1) for view in views), strict=True)
+        wanted = [self._output.name, *([_CONFIDENCE] if confidence and self.has_confidence else [])]
+        found = zip(*(self._match(left, right, wanted) for left, right in pairs), strict=True)
+        disparity, *more = (unpad(torch.cat(maps), height, width) for maps in found)
+        disparity = disparity * self.options.disparity_scale
+        return Prediction(*(map_.to(self.device) for map_ in (disparity, *more)))
 
     def _padded_size(self, height: int, width: int) -> tuple[int, int]:
         if self.fixed_size is None:
@@ -111,14 +119,14 @@ class OnnxFileEngine:
             )
         return self.fixed_size
 
-    def _match(self, left: Tensor, right: Tensor) -> Tensor:
-        """Disparity (1, H, W) of one pair (1, 3, H, W)."""
+    def _match(self, left: Tensor, right: Tensor, outputs: list[str]) -> list[Tensor]:
+        """Outputs (1, H, W) for one pair (1, 3, H, W)."""
         feed = {
             description.name: self._array(view)
             for description, view in zip(self._inputs, (left, right), strict=True)
         }
         try:
-            (found,) = self._session.run([self._output.name], feed)
+            found = self._session.run(outputs, feed)
         except Exception as error:  # it has a class of its own for each kind of failure
             reason = str(error).strip().split("\n")[0]
             shape = "{} x {}".format(*left.shape[-2:])
@@ -127,13 +135,21 @@ class OnnxFileEngine:
                 "does it need size_multiple=N or min_width=N?"
             ) from error
         size = tuple(left.shape[-2:])
-        map_ = _single_map(found, size)
-        if map_ is None:
+        return [
+            torch.from_numpy(self._single_map(name, map_, size).astype(np.float32))
+            for name, map_ in zip(outputs, found, strict=True)
+        ]
+
+    def _single_map(self, name: str, found: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
+        """(1, H, W) of an output (1, 1, H, W), (1, H, W), (H, W), (1, H, W, 1), or a flow's x."""
+        if found.ndim == 4 and found.shape[:2] == (1, 2):
+            found = found[:, :1]
+        if [n for n in found.shape if n != 1] != [n for n in size if n != 1]:
             raise InputError(
-                f"{self.path}: output {self._output.name!r} has the shape {found.shape}, not one "
-                f"map of {size[0]} x {size[1]}: choose another by output=NAME"
+                f"{self.path}: output {name!r} has the shape {found.shape}, not one map of "
+                f"{size[0]} x {size[1]}: choose another by output=NAME"
             )
-        return torch.from_numpy(map_.astype(np.float32) * np.float32(self.options.disparity_scale))
+        return found.reshape(1, *size)
 
     def _array(self, view: Tensor) -> NDArray[Any]:
         if self.options.colour == "bgr":
@@ -207,12 +223,3 @@ def _disparity(path: Path, outputs: Sequence[Any], options: OnnxOptions) -> Any:
             f",output={names[-1]}"
         )
     return outputs[names.index(wanted[0])]
-
-
-def _single_map(found: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any] | None:
-    """(1, H, W) of an output (1, 1, H, W), (1, H, W), (H, W), (1, H, W, 1), or of a flow's x."""
-    if found.ndim == 4 and found.shape[:2] == (1, 2):
-        found = found[:, :1]
-    if [n for n in found.shape if n != 1] != [n for n in size if n != 1]:
-        return None
-    return found.reshape(1, *size)

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 _OPSET = 20
-_CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
+_CPU = "CPUExecutionProvider"
+_GPU = {"cuda": "CUDAExecutionProvider", "tensorrt": "TensorrtExecutionProvider"}
 
 
 def to_onnx(network: ExportableNet, size: Size | None = None) -> Any:
@@ -36,7 +37,7 @@ def to_onnx(network: ExportableNet, size: Size | None = None) -> Any:
             network must have.
 
     Returns:
-        An ``onnx.ModelProto`` with inputs ``left`` and ``right`` and the output ``disparity``.
+        An ``onnx.ModelProto`` with inputs ``left`` and ``right`` and the network's ``outputs``.
     """
     with _silent("torch.onnx"):
         program = torch.onnx.export(
@@ -45,7 +46,7 @@ def to_onnx(network: ExportableNet, size: Size | None = None) -> Any:
             dynamo=True,
             verbose=False,
             input_names=["left", "right"],
-            output_names=["disparity"],
+            output_names=list(network.outputs),
             opset_version=_OPSET,
         )
     model = cast(Any, program).model_proto
@@ -79,8 +80,9 @@ def find_provider(device: str | torch.device) -> tuple[str, torch.device]:
     """ONNX Runtime's provider for a device, and PyTorch's device for results from there.
 
     Args:
-        device: "cpu", "cuda", "cuda:1" ..., or "auto": a CUDA GPU if the installed ONNX Runtime
-            has a provider for it, else the CPU.
+        device: "cpu", "cuda", "cuda:1" ..., "tensorrt", "tensorrt:1" ... for the same GPUs through
+            TensorRT, or "auto": a CUDA GPU if the installed ONNX Runtime has a provider for it,
+            else the CPU.
 
     Raises:
         InputError: If there is no provider for it.
@@ -90,16 +92,17 @@ def find_provider(device: str | torch.device) -> tuple[str, torch.device]:
     providers = onnxruntime.get_available_providers()
     name = str(device)
     if name == AUTO:
-        name = "cuda" if _CUDA in providers and torch.cuda.is_available() else "cpu"
+        name = "cuda" if _GPU["cuda"] in providers and torch.cuda.is_available() else "cpu"
     kind, _, index = name.partition(":")
     if kind == "cpu":
         return "cpu", torch.device("cpu")
-    if kind == "cuda" and (index or "0").isdigit() and _CUDA in providers:
-        gpu = f"cuda:{index or 0}"
-        return gpu, torch.device(gpu if torch.cuda.is_available() else "cpu")
+    if kind in _GPU and (index or "0").isdigit() and _GPU[kind] in providers:
+        number = index or "0"
+        results = torch.device(f"cuda:{number}" if torch.cuda.is_available() else "cpu")
+        return f"{kind}:{number}", results
     raise InputError(
         f"onnxruntime has no device {name!r} here: its providers are {', '.join(providers)} (a "
-        "GPU takes cuda and the package onnxruntime-gpu)"
+        "GPU takes cuda or tensorrt, and the package onnxruntime-gpu)"
     )
 
 
@@ -111,21 +114,22 @@ def open_session(model: bytes | Path, target: str, threads: int | None) -> Any:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # it warns of operators that it does not fold
     options.intra_op_num_threads = threads or 0
-    providers: list[Any] = [_CPU]
-    if target != "cpu":
-        providers.insert(0, (_CUDA, {"device_id": int(target.partition(":")[2])}))
+    kind, _, number = target.partition(":")
+    # TensorRT leaves to CUDA what it does not take.
+    names = {"cpu": [], "cuda": ["cuda"], "tensorrt": ["tensorrt", "cuda"]}[kind]
+    providers: list[Any] = [(_GPU[name], {"device_id": int(number)}) for name in names]
     content = model if isinstance(model, bytes) else str(model)
-    session = onnxruntime.InferenceSession(content, options, providers)
-    if target != "cpu" and _CUDA not in session.get_providers():
+    session = onnxruntime.InferenceSession(content, options, [*providers, _CPU])
+    if kind in _GPU and _GPU[kind] not in session.get_providers():
         raise InputError(
-            f"onnxruntime could not start on {target}: its CUDA libraries do not load here; use "
-            "device cpu, or engine torch"
+            f"onnxruntime could not start on {target}: its libraries of {kind} do not load here; "
+            "use device cpu, or engine torch"
         )
     return session
 
 
 class OnnxRuntimeEngine(ConvertedEngine):
-    """Runs a network in ONNX Runtime, on the CPU or a CUDA GPU ("cuda", "cuda:1" ...)."""
+    """Runs a network in ONNX Runtime, on a device that `find_provider` knows."""
 
     name = "onnxruntime"
     extra = "onnx"

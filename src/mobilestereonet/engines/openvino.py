@@ -53,7 +53,7 @@ def to_openvino(network: ExportableNet, size: Size | None = None) -> Any:
             network must have.
 
     Returns:
-        An ``openvino.Model`` with inputs ``left`` and ``right`` and the output ``disparity``.
+        An ``openvino.Model`` with inputs ``left`` and ``right`` and the network's ``outputs``.
     """
     import openvino
 
@@ -64,7 +64,8 @@ def to_openvino(network: ExportableNet, size: Size | None = None) -> Any:
             example_input=example_pair(network, size),
             input=[("left", shape), ("right", shape)],
         )
-    model.output(0).tensor.set_names({"disparity"})
+    for output, name in zip(model.outputs, network.outputs, strict=True):
+        output.tensor.set_names({name})
     return model
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.model import Prediction
 
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
@@ -21,10 +22,9 @@ Pair = tuple[Tensor, Tensor]
 """Left and right view, (1, 3, H, W) float32, RGB in 0..1."""
 
 INPUTS = ("left", "right")
-OUTPUT = "disparity"
 
-Run = Callable[[Tensor, Tensor], Tensor]
-"""An exported file in its own runtime: the views of a `Pair` to disparity (1, H, W) in px."""
+Run = Callable[[Tensor, Tensor], Prediction]
+"""An exported file in its own runtime: the views of a `Pair` to what it gives for them."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,7 @@ class Format(ABC):
     """File format that a network can be exported to.
 
     All files take two inputs, ``left`` and ``right``, RGB in 0..1, and preprocess them themselves.
+    They give ``disparity`` and, of a network with scores, ``confidence``, in this order.
 
     Attributes:
         name: Name on the command line.

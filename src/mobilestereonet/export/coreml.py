@@ -29,7 +29,7 @@ class CoreML(Format):
         precision = ct.precision.FLOAT16 if job.precision == "fp16" else ct.precision.FLOAT32
         model = ct.convert(
             _without_aliases(exported(job)),
-            outputs=[ct.TensorType("disparity")],
+            outputs=[ct.TensorType(name) for name in job.network.outputs],
             minimum_deployment_target=ct.target.iOS17,
             compute_precision=precision,
         )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from mobilestereonet.export.base import Format, Job, Run
 from mobilestereonet.export.pt2 import exported
+from mobilestereonet.nets.model import Prediction
 
 _PREFIX = "metadata_"
 
@@ -44,9 +45,9 @@ class ExecuTorch(Format):
         _unsafe_reset_threadpool(torch.get_num_threads())
         method = _load(path).load_method("forward")
 
-        def run(left: Tensor, right: Tensor) -> Tensor:
-            # The result lies in the runtime's memory, which the next run overwrites.
-            return cast(Tensor, method.execute([left, right])[0]).clone()
+        def run(left: Tensor, right: Tensor) -> Prediction:
+            # The results lie in the runtime's memory, which the next run overwrites.
+            return Prediction(*(map_.clone() for map_ in method.execute([left, right])))
 
         return run
 

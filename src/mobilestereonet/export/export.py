@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import shutil
 import warnings
@@ -11,12 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
 
+import torch
 from torch import Tensor
 
 from mobilestereonet.accelerate import accelerate
 from mobilestereonet.atomic import check_outputs
 from mobilestereonet.data.motorcycle import motorcycle_views
-from mobilestereonet.engines.benchmark import EagerNetwork
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.base import Format, Job, Pair, Run
@@ -28,7 +29,10 @@ from mobilestereonet.export.onnx import ONNX
 from mobilestereonet.export.openvino import OpenVINO
 from mobilestereonet.export.pairs import calibration_pairs
 from mobilestereonet.export.pt2 import PT2
-from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.export.refinement import Refinement
+from mobilestereonet.inference.refine import refine_disparity
+from mobilestereonet.inference.subpixel import fit_subpixel
+from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
 from mobilestereonet.timing import time_interleaved
 
 _LOG = logging.getLogger(__name__)
@@ -40,7 +44,10 @@ FORMATS: dict[str, Format] = {
 """Every format by its name."""
 
 TOLERANCE_PX = {"fp32": 1e-3, "fp16": 0.05, "int8": 0.5}
-"""Largest mean difference to PyTorch with which an export succeeds, by precision."""
+"""Largest mean difference to PyTorch's disparity with which an export succeeds, by precision."""
+
+CONFIDENCE_TOLERANCE = {"fp32": 1e-3, "fp16": 0.01, "int8": 0.1}
+"""Likewise, to its confidence in 0..1."""
 
 _TIMED_RUNS = 3
 
@@ -83,6 +90,8 @@ def export_model(
     precision: str | None = None,
     size: Size = (256, 512),
     calibration: str | Path | None = None,
+    refine: bool = False,
+    fixed: bool = False,
 ) -> Export:
     """Write a network as a file for another runtime.
 
@@ -99,6 +108,8 @@ def export_model(
         size: Height and width of a file of fixed size; others are compared at this one and at one
             that is one multiple higher and two wider.
         calibration: Folder of pairs for "int8"; see `calibration_pairs`.
+        refine: Refine the disparity inside the file as `StereoMatcher` does.
+        fixed: Write a file of fixed size where one of any size could be.
 
     Returns:
         What was written and how it compares.
@@ -116,26 +127,39 @@ def export_model(
     if calibration is not None and precision != "int8":
         raise InputError(f"calibration pairs are for precision int8, not {precision}")
     network = accelerate(net, "export", rgb=True, conv3d_as_2d=kind.conv3d_as_2d).float()
+    if refine:
+        if not isinstance(net, VolumeModel):
+            raise InputError(
+                f"{model} regresses the disparity without a confidence, which the refinement needs"
+            )
+        network.finish = Refinement()
+    any_size = kind.dynamic and network.any_size and not fixed
     min_width = network.min_width if network.any_size else net.size_multiple
     check_size(net, size, min_width)
     pairs: tuple[Pair, ...] = ()
     if precision == "int8":
         pairs = tuple(calibration_pairs(size, None if calibration is None else Path(calibration)))
-    fixed = None if kind.dynamic and network.any_size else size
+    shape = None if any_size else size
     metadata = describe(
-        net, model, embedded=embedded, precision=precision, size=fixed, min_width=min_width
+        net,
+        model,
+        embedded=embedded,
+        precision=precision,
+        size=shape,
+        min_width=min_width,
+        refined=refine,
     )
     with _temporary(output) as path:
         _LOG.info("%s: converting, which can take minutes", kind.name)
-        run = _convert(kind, Job(network, fixed, precision, metadata, pairs), path)
+        run = _convert(kind, Job(network, shape, precision, metadata, pairs), path)
         export = Export(
             output,
             sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file()),
             kind.versions(precision),
-            fixed is None,
+            any_size,
             size,
         )
-        return export if run is None else _compared(export, run, net, kind, precision)
+        return export if run is None else _compared(export, run, net, kind, precision, refine)
 
 
 def _check_output(output: Path, kind: Format) -> None:
@@ -164,25 +188,33 @@ def _convert(kind: Format, job: Job, path: Path) -> Run | None:
         ) from error
 
 
-def _compared(export: Export, run: Run, net: StereoModel, kind: Format, precision: str) -> Export:
+def _compared(
+    export: Export, run: Run, net: StereoModel, kind: Format, precision: str, refine: bool
+) -> Export:
     """The export with how it compares with PyTorch.
 
     Raises:
         InputError: If they differ.
     """
     _LOG.info("%s: running it and comparing it with torch", kind.name)
-    baseline = EagerNetwork(net)
+    plain = copy.deepcopy(net).float().cpu().eval()
 
-    def reference(left: Tensor, right: Tensor) -> Tensor:
-        return baseline(net.preprocessing(left), net.preprocessing(right)).disparity
+    def reference(left: Tensor, right: Tensor) -> Prediction:
+        with torch.inference_mode():
+            prediction: Prediction = plain(net.preprocessing(left), net.preprocessing(right))
+            if not refine:
+                return prediction
+            disparity, confidence = prediction
+            assert confidence is not None
+            disparity = fit_subpixel(refine_disparity(disparity, confidence, left), left, right)
+            return Prediction(disparity, confidence)
 
-    tolerance = TOLERANCE_PX[precision]
     if export.any_size:
         height, width = export.shape
         larger = motorcycle_views((height + net.size_multiple, width + 2 * net.size_multiple))
-        _difference(run(*larger), reference(*larger), kind.name, tolerance)
+        _difference(run(*larger), reference(*larger), kind.name, precision)
     pair = motorcycle_views(export.shape)
-    difference = _difference(run(*pair), reference(*pair), kind.name, tolerance)
+    difference = _difference(run(*pair), reference(*pair), kind.name, precision)
     seconds, torch_seconds = time_interleaved(
         lambda: run(*pair), lambda: reference(*pair), repeats=_TIMED_RUNS
     )
@@ -226,21 +258,27 @@ def _temporary(output: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _difference(found: Tensor, expected: Tensor, name: str, tolerance: float) -> Tensor:
+def _difference(found: Prediction, expected: Prediction, name: str, precision: str) -> Tensor:
     """Absolute differences of a file's disparity to PyTorch's, in pixels.
 
     Raises:
-        InputError: If they are above the tolerance on average, or the shapes differ.
+        InputError: If they, or those of the confidence where the file gives one, are above the
+            tolerance on average, or the shapes differ.
     """
-    if found.shape != expected.shape:
-        raise InputError(
-            f"{name}: the file gives {tuple(found.shape)} where torch gives "
-            f"{tuple(expected.shape)}: nothing written"
-        )
-    difference = (found - expected).abs()
-    if not difference.mean() <= tolerance:  # NaN, too
-        raise InputError(
-            f"{name}: the file's disparity differs from torch's by {difference.mean():.4g} px on "
-            f"average, above {tolerance} px: nothing written"
-        )
-    return difference
+    measured = (("disparity", " px", TOLERANCE_PX), ("confidence", "", CONFIDENCE_TOLERANCE))
+    for what, unit, tolerances in measured:
+        map_, wanted = getattr(found, what), getattr(expected, what)
+        if map_ is None or wanted is None:
+            continue
+        if map_.shape != wanted.shape:
+            raise InputError(
+                f"{name}: the file's {what} is {tuple(map_.shape)} where torch's is "
+                f"{tuple(wanted.shape)}: nothing written"
+            )
+        mean, tolerance = (map_ - wanted).abs().mean(), tolerances[precision]
+        if not mean <= tolerance:  # NaN, too
+            raise InputError(
+                f"{name}: the file's {what} differs from torch's by {mean:.4g}{unit} on average, "
+                f"above {tolerance}{unit}: nothing written"
+            )
+    return (found.disparity - expected.disparity).abs()

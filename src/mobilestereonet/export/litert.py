@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,13 +14,14 @@ from torch import Tensor, nn
 
 from mobilestereonet.engines.tracing import example_pair
 from mobilestereonet.export.base import Format, Job, Run
+from mobilestereonet.nets.model import Prediction
 
 _METADATA = "mobilestereonet"
 _FILE_IDENTIFIER = b"TFL3"
 
 
 class LiteRT(Format):
-    """``.tflite`` file with the signature left, right -> disparity."""
+    """``.tflite`` file with the signature left, right -> disparity, confidence."""
 
     name = "litert"
     ending = ".tflite"
@@ -37,7 +39,8 @@ class LiteRT(Format):
         left, right = example_pair(network, job.size)
         views = {"left": left, "right": right}
         litert_torch.convert(network, sample_kwargs=views).export(str(path))
-        path.write_bytes(_describe(path.read_bytes(), json.dumps(dict(job.metadata))))
+        text = json.dumps(dict(job.metadata))
+        path.write_bytes(_describe(path.read_bytes(), text, network.outputs))
 
     def open(self, path: Path) -> Run:
         """Load into LiteRT's interpreter."""
@@ -46,8 +49,9 @@ class LiteRT(Format):
         signature = Interpreter(str(path), num_threads=torch.get_num_threads())
         runner = signature.get_signature_runner()
 
-        def run(left: Tensor, right: Tensor) -> Tensor:
-            return torch.from_numpy(runner(left=left.numpy(), right=right.numpy())["disparity"])
+        def run(left: Tensor, right: Tensor) -> Prediction:
+            found = runner(left=left.numpy(), right=right.numpy())
+            return Prediction(**{name: torch.from_numpy(map_) for name, map_ in found.items()})
 
         return run
 
@@ -86,13 +90,14 @@ def _parse(content: bytes) -> Any:
     return schema.ModelT.InitFromObj(schema.Model.GetRootAs(content, 0))
 
 
-def _describe(content: bytes, text: str) -> bytes:
-    """Add metadata to a file, and name its output."""
+def _describe(content: bytes, text: str, outputs: Sequence[str]) -> bytes:
+    """Add metadata to a file, and name its outputs."""
     import flatbuffers
     from ai_edge_litert import schema_py_generated as schema
 
     model = _parse(content)
-    model.signatureDefs[0].outputs[0].name = "disparity"
+    for output, name in zip(model.signatureDefs[0].outputs, outputs, strict=True):
+        output.name = name
     model.buffers.append(schema.BufferT(data=list(text.encode())))
     model.metadata.append(schema.MetadataT(name=_METADATA, buffer=len(model.buffers) - 1))
     builder = flatbuffers.Builder(len(content))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mobilestereonet
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.model import StereoModel, VolumeModel
 from mobilestereonet.weights import card, is_embedded
 
 
@@ -17,6 +17,7 @@ def describe(
     precision: str,
     size: Size | None,
     min_width: int,
+    refined: bool = False,
 ) -> dict[str, str]:
     """Everything that is needed to use a file without this package.
 
@@ -27,12 +28,16 @@ def describe(
         precision: Number format of the file.
         size: Height and width that the file takes; None if it takes any.
         min_width: Smallest width in pixels that the network's graph takes.
+        refined: Whether the graph refines the disparity.
 
     Returns:
         Texts by key.
     """
     known = embedded and is_embedded(model)
     preprocessing = net.preprocessing
+    confidence = {
+        "confidence": "probability that the disparity is within 2 px, float32, (1, height, width)"
+    }
     return {
         "model": model,
         "package": f"mobilestereonet {mobilestereonet.__version__}",
@@ -50,8 +55,10 @@ def describe(
         "size_multiple": str(net.size_multiple),
         "smallest_width": str(min_width),
         "padding": "above and on the right with the border's pixels; crop the disparity likewise",
+        "refinement": "inside the graph" if refined else "none",
         "output": "disparity of the left view, float32, (1, height, width), in pixels",
         "disparity_range": f"0..{net.max_disparity - 1}",
+        **(confidence if isinstance(net, VolumeModel) else {}),
     }
 
 

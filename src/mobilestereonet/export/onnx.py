@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.engines.onnxruntime import open_session, to_onnx
-from mobilestereonet.export.base import INPUTS, OUTPUT, Format, Job, Run
+from mobilestereonet.export.base import INPUTS, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
+from mobilestereonet.nets.model import Prediction
 
 
 class ONNX(Format):
@@ -20,15 +22,16 @@ class ONNX(Format):
     ending = ".onnx"
     extra = "onnx"
     packages = ("onnx", "onnxscript", "onnxruntime")
-    precisions = ("fp32", "int8")
+    precisions = ("fp32", "fp16", "int8")
     dynamic = True
-    note = "any ONNX runtime"
+    note = "any ONNX runtime; fp16 computes in half precision up to the scores"
 
     def write(self, job: Job, path: Path) -> None:
         """Convert, quantise where asked to, add the metadata."""
         import onnx
 
-        model = to_onnx(job.network, job.size)
+        network = copy.deepcopy(job.network).half() if job.precision == "fp16" else job.network
+        model = to_onnx(network, job.size)
         if job.precision == "int8":
             nodes = list(model.graph.node)
             keep = float_nodes([(node.name, node.op_type) for node in nodes], "Resize", "Conv")
@@ -41,10 +44,9 @@ class ONNX(Format):
         """Load into ONNX Runtime, on the CPU."""
         session = open_session(path, "cpu", torch.get_num_threads())
 
-        def run(left: Tensor, right: Tensor) -> Tensor:
+        def run(left: Tensor, right: Tensor) -> Prediction:
             views = dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True))
-            (disparity,) = session.run([OUTPUT], views)
-            return torch.from_numpy(disparity)
+            return Prediction(*map(torch.from_numpy, session.run(None, views)))
 
         return run
 

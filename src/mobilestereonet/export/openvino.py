@@ -10,6 +10,7 @@ from torch import Tensor
 from mobilestereonet.engines.openvino import openvino_core, to_openvino
 from mobilestereonet.export.base import INPUTS, Format, Job, Run
 from mobilestereonet.export.quantise import float_nodes, quantise
+from mobilestereonet.nets.model import Prediction
 
 _METADATA = "mobilestereonet"
 
@@ -46,9 +47,9 @@ class OpenVINO(Format):
         }
         model = openvino_core().compile_model(path, "CPU", options)
 
-        def run(left: Tensor, right: Tensor) -> Tensor:
-            disparity = model(dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True)))[0]
-            return torch.from_numpy(disparity.copy())
+        def run(left: Tensor, right: Tensor) -> Prediction:
+            found = model(dict(zip(INPUTS, (left.numpy(), right.numpy()), strict=True)))
+            return Prediction(*(torch.from_numpy(map_.copy()) for map_ in found.to_tuple()))
 
         return run
 

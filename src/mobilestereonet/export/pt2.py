@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mobilestereonet.engines.tracing import example_pair
 from mobilestereonet.export.base import Format, Job, Run
+from mobilestereonet.nets.model import Prediction
 
 _METADATA = "metadata.json"
 
@@ -34,9 +35,10 @@ class PT2(Format):
         """Load as a module."""
         module = torch.export.load(path).module()
 
-        def run(left: Tensor, right: Tensor) -> Tensor:
+        def run(left: Tensor, right: Tensor) -> Prediction:
             with torch.inference_mode():
-                return cast(Tensor, module(left, right))
+                found = module(left, right)
+            return Prediction(*(found if isinstance(found, tuple) else (found,)))
 
         return run
 
