@@ -49,7 +49,7 @@ class File:
         self.run = next(f for f in FORMATS.values() if f.ending == path.suffix).open(path)
 
     def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
-        return Prediction(self.run(left, right))
+        return Prediction(self.run(left, right).disparity)
 
 
 def main() -> None:

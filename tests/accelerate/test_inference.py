@@ -142,7 +142,8 @@ def test_form_for_export(name, fields, conv3d_as_2d):
     with torch.inference_mode():
         prediction, scores = net(left, right), net.scores(left, right)
         graph = accelerate(net, "export", conv3d_as_2d=conv3d_as_2d)
-        torch.testing.assert_close(graph(left, right), prediction.disparity, rtol=0, atol=1e-9)
+        for name, found in zip(graph.outputs, graph(left, right), strict=True):
+            torch.testing.assert_close(found, getattr(prediction, name), rtol=0, atol=1e-9)
         graph = accelerate(net, "export", scores=True, conv3d_as_2d=conv3d_as_2d)
         torch.testing.assert_close(graph(left, right), scores, rtol=0, atol=1e-9)
 

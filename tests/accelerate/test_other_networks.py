@@ -185,7 +185,7 @@ def test_subclasses_of_the_papers_network_keep_what_they_change():
         for purpose in ("inference", "training"):
             found = accelerate(net, purpose)(left, right).disparity
             torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
-        graph = accelerate(net, "export")(left, right)
+        graph, _ = accelerate(net, "export")(left, right)
         torch.testing.assert_close(graph, expected, rtol=0, atol=1e-3)
 
 
