@@ -32,6 +32,8 @@ class ONNX(Format):
 
         network = copy.deepcopy(job.network).half() if job.precision == "fp16" else job.network
         model = to_onnx(network, job.size)
+        for node in model.graph.node:  # where in this package each comes from, a megabyte in all
+            node.ClearField("metadata_props")
         if job.precision == "int8":
             nodes = list(model.graph.node)
             keep = float_nodes([(node.name, node.op_type) for node in nodes], "Resize", "Conv")
