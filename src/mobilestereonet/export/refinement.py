@@ -144,7 +144,8 @@ def _normalise_contrast(view: Tensor) -> Tensor:
     moments = F.pad(moments, (CONTRAST_WINDOW_PX // 2,) * 4, mode="replicate")
     mean, square = F.avg_pool2d(moments, CONTRAST_WINDOW_PX, 1).split(1, dim=1)
     variance = (square - mean.square()).clamp(min=0)
-    return (grey - mean) / (variance + SENSOR_NOISE**2).sqrt()
+    normalised: Tensor = (grey - mean) / (variance + SENSOR_NOISE**2).sqrt()
+    return normalised
 
 
 def _row_gradient(image: Tensor) -> Tensor:
