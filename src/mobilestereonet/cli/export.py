@@ -14,14 +14,20 @@ from mobilestereonet.cli.engine import Network, NetworkOptions
 from mobilestereonet.errors import InputError
 
 _SIZE = (256, 512)
+_PAGE = "web"
 
 
 def export(
     format_: Annotated[
         str | None,
         typer.Argument(
-            metavar="FORMAT", help="What to write; --list shows them.", callback=one_of(FORMATS)
+            metavar="FORMAT",
+            help="What to write; --list shows them. web: a page without a server.",
+            callback=one_of((*FORMATS, _PAGE)),
         ),
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="DIR", help="For web: the folder to write.")
     ] = None,
     *,
     model: Network = None,
@@ -31,11 +37,14 @@ def export(
         typer.Option("--output", "-o", help="File to write. Default: the model's."),
     ] = None,
     height: Annotated[
-        int, typer.Option(help="Height of a file of fixed size; others are checked at it.")
-    ] = _SIZE[0],
+        int | None,
+        typer.Option(
+            help="Height of a file of fixed size; others are checked at it. Default: 256; web: 320."
+        ),
+    ] = None,
     width: Annotated[
-        int, typer.Option(help="Width of a file of fixed size; others are checked at it.")
-    ] = _SIZE[1],
+        int | None, typer.Option(help="Width, likewise. Default: 512; web: 448.")
+    ] = None,
     precision: Annotated[
         str | None,
         typer.Option(
@@ -55,6 +64,13 @@ def export(
             "--with-refinement", help="Refine the disparity inside the file, as msnet predict does."
         ),
     ] = False,
+    runtime_dir: Annotated[
+        Path | None,
+        typer.Option(
+            help="For web: npm's folder node_modules with onnxruntime-web and three.",
+            callback=existing_folder,
+        ),
+    ] = None,
     list_: Annotated[
         bool, typer.Option("--list", help="List the formats and what is installed.")
     ] = False,
@@ -68,6 +84,16 @@ def export(
     options = replace(options, model=model)
     if options.is_standalone:
         raise InputError(f"{model} is no network: it cannot be exported")
+
+    if format_ == _PAGE:
+        if output is not None or calibration is not None:
+            option = "--calibration" if output is None else "--output"
+            raise InputError(f"{option} is not for web, which writes a folder: leave it out")
+        _export_page(options, folder, runtime_dir, precision or "fp32", height, width)
+        return
+    if folder is not None or runtime_dir is not None:
+        given = "--runtime-dir" if folder is None else str(folder)
+        raise InputError(f"{given} is for web: the file that {format_} writes is named by --output")
 
     from mobilestereonet.export import export_model, find_format
 
@@ -83,7 +109,7 @@ def export(
         model=name,
         embedded=options.is_embedded,
         precision=precision,
-        size=(height, width),
+        size=(height or _SIZE[0], width or _SIZE[1]),
         calibration=calibration,
         refine=with_refinement,
     )
@@ -97,6 +123,38 @@ def export(
         + f"{written.mean:.2g} px from torch on average, {written.largest:.2g} px at most"
     )
     print(f"{written.seconds:.3f} s a pair, {written.ratio:.2f} times the time of eager torch")
+
+
+def _export_page(
+    options: NetworkOptions,
+    folder: Path | None,
+    runtime: Path | None,
+    precision: str,
+    height: int | None,
+    width: int | None,
+) -> None:
+    """Write the page, by default with the fastest network."""
+    if folder is None or runtime is None:
+        missing = "DIR, the folder to write" if folder is None else "--runtime-dir node_modules"
+        raise InputError(f"web needs {missing}: msnet export web DIR --runtime-dir node_modules")
+
+    from mobilestereonet.export.web import PAGE_SIZE, export_page
+    from mobilestereonet.inference.quality import QUALITIES
+
+    if options.is_default:
+        options = replace(options, model=QUALITIES["fast"].model)
+    name, net = options.open_network()
+    written = export_page(
+        net,
+        folder,
+        runtime=runtime,
+        model=name,
+        embedded=options.is_embedded,
+        precision=precision,
+        size=(height or PAGE_SIZE[0], width or PAGE_SIZE[1]),
+    )
+    print(f"{folder}: {name}, {written.mean:.2g} px from torch on average")
+    print(f"try it: python -m http.server -d {folder}, then http://localhost:8000")
 
 
 def _sentence(versions: Mapping[str, str | None]) -> str:

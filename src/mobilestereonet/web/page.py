@@ -173,7 +173,7 @@ def _results() -> tuple[list[Any], Any]:
             )
             readout = gr.HTML(
                 html_template="<output></output>",
-                js_on_load=files(__package__).joinpath("readout.js").read_text("utf-8"),
+                js_on_load=_readout(),
                 elem_id="readout",
             )
         with gr.Tab("Confidence"):
@@ -190,6 +190,12 @@ def _results() -> tuple[list[Any], Any]:
         elem_id="downloads",
     )
     return [facts, slider, readout, confidence, cloud, tabs, downloads], points
+
+
+def _readout() -> str:
+    """The script that tells the depth under the pointer."""
+    shared = files("mobilestereonet.export").joinpath("page/reading.js")
+    return "\n".join(f.read_text("utf-8") for f in (shared, files(__package__) / "readout.js"))
 
 
 def page_style() -> dict[str, Any]:

@@ -1,5 +1,6 @@
 // Tells disparity, depth and confidence of the pixel of the disparity picture that is pointed at.
-// gradio runs this once for its HTML component: `element`, `props` and `watch` come from there.
+// gradio runs this once for its HTML component, after `reading.js`: `element`, `props` and `watch`
+// come from there.
 const start = "Point at the picture, or tap it, to read the depth there.";
 let pixels = null;
 
@@ -17,28 +18,18 @@ function load() {
   image.src = props.value.levels;
 }
 
-function describe(x, y) {
+function describe(pixel) {
   const { scale, confident, depth, doffs } = props.value;
-  const [high, low, sure] = pixels.data.subarray(4 * (y * pixels.width + x));
-  const disparity = (256 * high + low) / scale;
-  const parts = [`column ${x}, row ${y}`];
-  parts.push(disparity > 0 ? `disparity ${disparity.toFixed(2)} px` : "disparity unknown");
-  if (depth !== null) {
-    const known = disparity > 0 && disparity + doffs >= 1 / scale;
-    parts.push(known ? `depth ${(depth / (disparity + doffs)).toFixed(3)} m` : "depth unknown");
-  }
-  if (confident) parts.push(`${Math.round((100 * sure) / 255)} % sure`);
-  return parts.join(" · ");
+  const [high, low, sure] = pixels.data.subarray(4 * (pixel.y * pixels.width + pixel.x));
+  const geometry = depth === null ? null : { depth, doffs };
+  const confidence = confident ? sure / 255 : null;
+  return describePixel(pixel, (256 * high + low) / scale, confidence, geometry, 1 / scale);
 }
 
 function show(event) {
   const picture = event.target.closest?.("#disparity")?.querySelector("img");
-  if (!pixels || !picture) return;
-  const box = picture.getBoundingClientRect();
-  const x = Math.floor(((event.clientX - box.left) / box.width) * pixels.width);
-  const y = Math.floor(((event.clientY - box.top) / box.height) * pixels.height);
-  if (x < 0 || y < 0 || x >= pixels.width || y >= pixels.height) return;
-  element.querySelector("output").textContent = describe(x, y);
+  const pixel = pixels && picture && pixelUnder(event, picture, pixels.width, pixels.height);
+  if (pixel) element.querySelector("output").textContent = describe(pixel);
 }
 
 document.addEventListener("pointermove", show);

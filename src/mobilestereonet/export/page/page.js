@@ -1,0 +1,242 @@
+// The page: two photos, an example or a webcam in; disparity, depth and points out.
+const MIN_CONFIDENCE = 0.5; // of the points
+const MAX_DEPTH_RATIO = 3; // points farther than this multiple of the median are left out
+const FIELD_OF_VIEW = 60; // degrees, of photos whose focal length is not known
+
+const $ = (id) => document.getElementById(id);
+const photos = { left: null, right: null }; // ImageBitmap
+let settings, worker, shown, stream, busy = false, lastSeconds = 0;
+
+async function start() {
+  await useServiceWorker();
+  settings = await (await fetch("page.json")).json();
+  $("about").textContent =
+    `${settings.about}; photos are scaled to fit ${settings.width} x ${settings.height} px.`;
+  worker = new Worker("worker.js", { type: "module" });
+  const { provider, threads } = await ask({ settings }, "ready");
+  const count = threads === 1 ? "one thread" : `${threads} threads`;
+  tell(`Ready, ${provider === "webgpu" ? "on the GPU" : `on ${count}`}. Choose two photos.`);
+  $("example").disabled = false;
+  $("camera").disabled = !navigator.mediaDevices;
+  progress(0);
+  update();
+}
+
+// Waits until the service worker serves this page, and loads it again if that gives it threads.
+async function useServiceWorker() {
+  const workers = navigator.serviceWorker;
+  if (!workers) return; // as in private windows: one thread, and no page without a network
+  try {
+    await workers.register("sw.js");
+    await workers.ready;
+  } catch {
+    return;
+  }
+  if (!workers.controller) {
+    await new Promise((done) => workers.addEventListener("controllerchange", done, { once: true }));
+  }
+  if (!self.crossOriginIsolated && !sessionStorage.getItem("reloaded")) {
+    sessionStorage.setItem("reloaded", "yes");
+    location.reload();
+    await new Promise(() => {});
+  }
+}
+
+// Sends a message to the worker; gives that part of its answer, and shows its progress meanwhile.
+function ask(message, part) {
+  return new Promise((resolve, reject) => {
+    worker.onerror = (event) => reject(new Error(event.message ?? "the worker does not start"));
+    worker.onmessage = ({ data }) => {
+      if (data.error) return reject(new Error(data.error));
+      if (data[part]) return resolve(data[part]);
+      tell(`${data.stage} ...`);
+      progress(data.share);
+    };
+    worker.postMessage(message);
+  });
+}
+
+function tell(text, failed = false) {
+  $("status").textContent = text;
+  $("status").classList.toggle("error", failed);
+}
+
+// A share of 1, or nothing while nobody knows.
+function progress(share) {
+  if (share === undefined) $("progress").removeAttribute("value");
+  else $("progress").value = share;
+}
+
+function update() {
+  $("match").disabled = busy || Boolean(stream) || !settings || !photos.left || !photos.right;
+  $("example").disabled = busy || Boolean(stream);
+}
+
+async function choose(side, blob) {
+  try {
+    photos[side] = await createImageBitmap(blob);
+  } catch {
+    photos[side] = null;
+    tell(`The ${side} file is no picture that this browser reads.`, true);
+  }
+  const image = $(side).querySelector("img");
+  URL.revokeObjectURL(image.src);
+  image.hidden = !photos[side];
+  if (photos[side]) image.src = URL.createObjectURL(blob);
+  update();
+}
+
+async function match() {
+  const { left, right } = photos;
+  if (left.width !== right.width || left.height !== right.height) {
+    const sizes = [left, right].map((photo) => `${photo.width} x ${photo.height}`);
+    return tell(`The photos must have one size: ${sizes.join(" and ")} px.`, true);
+  }
+  busy = true;
+  update();
+  const started = performance.now();
+  const clock = setInterval(() => {
+    const seconds = (performance.now() - started) / 1000;
+    progress(lastSeconds ? Math.min(0.99, seconds / lastSeconds) : undefined);
+  }, 100);
+  if (!stream) tell("Matching ...");
+  try {
+    const result = await ask({ left, right }, "result");
+    lastSeconds = (performance.now() - started) / 1000;
+    tell(`Matched in ${result.seconds.toFixed(1)} s.`);
+    show({ ...result, left });
+  } catch (error) {
+    tell(`It failed: ${error.message}`, true);
+  } finally {
+    clearInterval(clock);
+    progress(shown ? 1 : 0);
+    busy = false;
+    update();
+  }
+}
+
+function show(result) {
+  shown = result;
+  $("result").hidden = false;
+  const { width, height, disparity } = result;
+  const picture = $("picture");
+  [picture.width, picture.height] = [result.left.width, result.left.height];
+  picture.getContext("2d").drawImage(result.left, 0, 0);
+  const canvas = $("disparity");
+  [canvas.width, canvas.height] = [width, height];
+  const pixels = new ImageData(width, height);
+  const largest = disparity.slice().sort()[Math.floor(0.99 * (disparity.length - 1))];
+  for (let i = 0; i < disparity.length; i++) {
+    const level = Math.min(255, Math.floor((256 * disparity[i]) / Math.max(largest, 1e-6)));
+    const colour = parseInt(settings.colours.slice(6 * level, 6 * level + 6), 16);
+    pixels.data.set([colour >> 16, (colour >> 8) & 255, colour & 255, 255], 4 * i);
+  }
+  canvas.getContext("2d").putImageData(pixels, 0, 0);
+  dispatchEvent(new CustomEvent("matched", { detail: result })); // for scripts of one's own
+  if (!$("cloud").hidden) showPoints();
+}
+
+// Focal length x baseline, and doffs, where they are filled in.
+function geometry() {
+  const [focal, baseline, doffs] = ["focal", "baseline", "doffs"].map((id) => Number($(id).value));
+  return focal > 0 && baseline > 0 ? { focal, depth: focal * baseline, doffs } : null;
+}
+
+function read(event) {
+  if (!shown) return;
+  const { width, height, scale, disparity, confidence } = shown;
+  const pixel = pixelUnder(event, $("picture"), width, height);
+  if (!pixel) return;
+  const index = pixel.y * width + pixel.x;
+  const place = { x: Math.floor((pixel.x + 0.5) / scale), y: Math.floor((pixel.y + 0.5) / scale) };
+  const sure = confidence && confidence[index];
+  $("readout").textContent = describePixel(place, disparity[index], sure, geometry(), 1 / 256);
+}
+
+async function showPoints() {
+  const { width, height, scale, disparity, confidence, left } = shown;
+  const known = geometry();
+  const { focal, depth, doffs } = known ?? {
+    focal: left.width / 2 / Math.tan((FIELD_OF_VIEW * Math.PI) / 360),
+    depth: left.width,
+    doffs: 0,
+  };
+  const shifts = disparity.map((value) => value + doffs);
+  const median = depth / Math.max(1e-3, shifts.slice().sort()[shifts.length >> 1]);
+  const chosen = [];
+  for (let i = 0; i < shifts.length; i++) {
+    const far = shifts[i] <= 0 || depth / shifts[i] > MAX_DEPTH_RATIO * median;
+    if (!far && disparity[i] > 0 && !(confidence?.[i] < MIN_CONFIDENCE)) chosen.push(i);
+  }
+  const positions = new Float32Array(3 * chosen.length);
+  const colours = new Uint8Array(3 * chosen.length);
+  const context = new OffscreenCanvas(width, height).getContext("2d");
+  context.drawImage(left, 0, 0, width, height);
+  const { data } = context.getImageData(0, 0, width, height);
+  chosen.forEach((i, point) => {
+    const z = depth / shifts[i];
+    const x = ((((i % width) - (width - 1) / 2) / scale) * z) / focal;
+    const y = (((Math.floor(i / width) - (height - 1) / 2) / scale) * z) / focal;
+    positions.set([x, -y, -z], 3 * point);
+    colours.set(data.subarray(4 * i, 4 * i + 3), 3 * point);
+  });
+  $("cloud").hidden = $("cloud-note").hidden = false;
+  $("show-cloud").hidden = true;
+  $("cloud-note").textContent =
+    `${chosen.length} points. Drag to turn, scroll or pinch to come closer.` +
+    (known ? "" : ` The shape supposes a field of view of ${FIELD_OF_VIEW} degrees.`);
+  const angle = (360 / Math.PI) * Math.atan(left.height / 2 / focal);
+  const { showCloud } = await import("./cloud.js");
+  const view = { angle, columns: width, distance: median, stay: Boolean(stream) };
+  showCloud($("cloud"), positions, colours, view);
+}
+
+async function useExample() {
+  const { example } = settings;
+  for (const side of ["left", "right"]) await choose(side, await (await fetch(example[side])).blob());
+  for (const id of ["focal", "baseline", "doffs"]) $(id).value = example[id];
+  await match();
+}
+
+async function useCamera() {
+  if (stream) return stopCamera();
+  try {
+    stream = await navigator.mediaDevices.getUserMedia({ video: { width: { ideal: 2560 } } });
+  } catch (error) {
+    return tell(`No camera: ${error.message}`, true);
+  }
+  const video = $("video");
+  video.srcObject = stream;
+  video.hidden = false;
+  $("camera").textContent = "Stop the webcam";
+  await video.play();
+  while (stream) {
+    const half = video.videoWidth >> 1, height = video.videoHeight;
+    photos.left = await createImageBitmap(video, 0, 0, half, height);
+    photos.right = await createImageBitmap(video, half, 0, half, height);
+    await match();
+  }
+}
+
+function stopCamera() {
+  stream.getTracks().forEach((track) => track.stop());
+  stream = null;
+  $("video").hidden = true;
+  $("camera").textContent = "Side-by-side webcam";
+  update();
+}
+
+for (const side of ["left", "right"]) {
+  const input = $(side).querySelector("input");
+  input.addEventListener("change", () => input.files[0] && choose(side, input.files[0]));
+}
+$("match").addEventListener("click", match);
+$("example").addEventListener("click", useExample);
+$("camera").addEventListener("click", useCamera);
+$("show-cloud").addEventListener("click", showPoints);
+$("slider").addEventListener("input", (event) => {
+  $("pictures").style.setProperty("--cut", `${event.target.value}%`);
+});
+for (const kind of ["pointermove", "pointerdown"]) $("pictures").addEventListener(kind, read);
+
+start().catch((error) => tell(`It cannot start: ${error.message}`, true));
