@@ -39,7 +39,7 @@ class Handler(SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site") / "page"
-    net = load_model("msnet2d")
+    net = load_model("msnet2d", config={"hourglasses": 1})  # quickly converted
     export_page(net, folder, runtime=RUNTIME, model="msnet2d", embedded=True, size=SIZE)
     return folder
 
