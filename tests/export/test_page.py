@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -129,14 +130,13 @@ def test_the_demo_pair(context, address, folder):
     page.locator("#show-cloud").click()
     canvas = page.locator("#cloud")
     canvas.wait_for()
-    before = picture_of(canvas)
-    assert before.std() > 10
+    before = picture_when(canvas, lambda picture: picture.std() > 10)
     box = canvas.bounding_box()
     page.mouse.move(box["x"] + 200, box["y"] + 100)
     page.mouse.down()
     page.mouse.move(box["x"] + 300, box["y"] + 130, steps=5)
     page.mouse.up()
-    assert np.abs(picture_of(canvas).astype(float) - before).mean() > 1
+    picture_when(canvas, lambda picture: np.abs(picture - before).mean() > 1)
 
     # Without a network.
     context.set_offline(True)
@@ -148,8 +148,16 @@ def test_the_demo_pair(context, address, folder):
     page.close()
 
 
-def picture_of(locator):
-    return cv2.imdecode(np.frombuffer(locator.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+def picture_when(locator, condition):
+    """What an element looks like as soon as a condition holds."""
+    ended = time.monotonic() + PATIENCE / 1000
+    while True:
+        content = np.frombuffer(locator.screenshot(), np.uint8)
+        picture = cv2.imdecode(content, cv2.IMREAD_COLOR).astype(float)
+        if condition(picture):
+            return picture
+        assert time.monotonic() < ended, "it never looks so"
+        time.sleep(0.1)
 
 
 def test_what_a_visitor_may_do_wrong(context, address, folder, tmp_path):

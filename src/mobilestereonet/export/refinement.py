@@ -100,8 +100,11 @@ def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
 
 
 def _columns(like: Tensor) -> Tensor:
-    """The number of each pixel's column, in a map (1, H, W)."""
-    return torch.ones_like(like).cumsum(dim=-1) - 1
+    """The number of each pixel's column, in a map (1, H, W).
+
+    Computed from the map's values: ones of its shape would be a constant of the graph.
+    """
+    return (like * 0 + 1).cumsum(dim=-1) - 1
 
 
 def _running_max(values: Tensor, lowest: float = -1.0) -> Tensor:
@@ -118,7 +121,7 @@ def _fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
     left_gradient = _row_gradient(left)
     right_maps = torch.cat((right, _row_gradient(right)), dim=1)
     columns = _columns(disparity)
-    shift = torch.zeros_like(disparity)
+    shift = columns * 0
     for _ in range(STEPS):
         position = columns - disparity - shift
         inside = ((position >= 0) & (position <= columns[..., -1:])).unsqueeze(1)
