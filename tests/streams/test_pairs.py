@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams.pairs import PairFiles, find_pairs, read_pairs
+from mobilestereonet.streams.driving import find_pairs
+from mobilestereonet.streams.pairs import PairFiles, read_pairs
 
 
 def touch(path):

@@ -19,8 +19,8 @@ def batch(
     left: Annotated[
         str,
         typer.Argument(
-            help="Folder or pattern of left views; alone, a folder in the layout of KITTI's "
-            "odometry (sequences/00/image_2 ...)."
+            help="Folder or pattern of left views; alone, the folder of KITTI's odometry, "
+            "SemanticKITTI (sequences/00/image_2 ...) or KITTI-360 (data_2d_raw ...)."
         ),
     ],
     right: Annotated[str | None, typer.Argument(help="The right views, likewise.")] = None,
@@ -30,7 +30,8 @@ def batch(
         list[str] | None,
         typer.Option(
             help="Map to write: disparity.png (the default; 16 bit, x 256), .pfm or .npy; "
-            "depth.png (16-bit mm), .npy or .tiff (m); picture.png. Repeat for more.",
+            "depth.png (16-bit mm), .npy or .tiff (m); points.bin, as KITTI's laser scanner has "
+            "them; picture.png. Repeat for more.",
             callback=one_of(MAP_KINDS),
         ),
     ] = None,

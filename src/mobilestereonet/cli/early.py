@@ -57,7 +57,7 @@ BENCHMARK_SIZES = ("Q", "H", "F")
 
 MAP_KINDS = (
     *("disparity.png", "disparity.pfm", "disparity.npy", "picture.png"),
-    *("depth.png", "depth.npy", "depth.tiff"),
+    *("depth.png", "depth.npy", "depth.tiff", "points.bin"),
 )
 """Maps of ``msnet batch``."""
 

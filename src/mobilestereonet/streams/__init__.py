@@ -3,10 +3,11 @@
 from mobilestereonet.streams.bag_file import BagFile
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.cluster import match_on_ray
+from mobilestereonet.streams.driving import find_pairs
 from mobilestereonet.streams.maps import MAP_KINDS, MapFiles
 from mobilestereonet.streams.matched import match_stream
 from mobilestereonet.streams.open import open_stream
-from mobilestereonet.streams.pairs import PairFiles, find_pairs
+from mobilestereonet.streams.pairs import PairFiles
 from mobilestereonet.streams.rerun_log import RerunLog
 from mobilestereonet.streams.stream import StereoFrame, Stream
 from mobilestereonet.streams.video import VideoStats, match_video

@@ -65,7 +65,7 @@ def match_pairs(
         frames = _check_calibrations(frames)
     for frame, result in prefetch(match_frames(frames, matcher)):
         if result is not None:
-            files.save(frame.name, result, frame.calibration)
+            files.save(frame.name, result, frame.calibration, to_laser=frame.to_laser)
             for sink in sinks:
                 sink(frame, result, frame.calibration)
         yield PairStatus(frame.name, frame.problem)

@@ -19,6 +19,7 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoPair, StereoResult
 from mobilestereonet.inference.result import MAX_PNG_DISPARITY_PX
+from mobilestereonet.streams.laser import Pose, write_laser_points
 from mobilestereonet.streams.pairs import PairFiles
 
 
@@ -39,8 +40,11 @@ _WRITERS: dict[str, Callable[[Path, StereoResult], None]] = {
     "picture.png": lambda path, result: write_png(path, result.picture()),
 }
 
-MAP_KINDS = (*_WRITERS, "depth.png", "depth.npy", "depth.tiff")
-"""Maps that a pair may get; `StereoResult.save` and `write_depth` say what is in them."""
+LASER_POINTS = "points.bin"
+
+MAP_KINDS = (*_WRITERS, "depth.png", "depth.npy", "depth.tiff", LASER_POINTS)
+"""Maps that a pair may get; `StereoResult.save`, `write_depth` and `write_laser_points` say what is
+in them."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,8 @@ class MapFiles:
 
     @property
     def needs_calibration(self) -> bool:
-        """Whether one of the maps is a depth."""
-        return any(kind.startswith("depth") for kind in self.kinds)
+        """Whether one of the maps is a depth, or made of it."""
+        return any(kind.startswith(("depth", "points")) for kind in self.kinds)
 
     def path(self, name: str, kind: str) -> Path:
         """The file of one of a pair's maps."""
@@ -95,6 +99,7 @@ class MapFiles:
         result: StereoResult,
         calibration: Calibration | None,
         *,
+        to_laser: Pose | None = None,
         keep: bool = False,
     ) -> None:
         """Write a pair's maps, each file atomically.
@@ -103,6 +108,7 @@ class MapFiles:
             name: The pair's name.
             result: Its result.
             calibration: Its geometry; depth needs it.
+            to_laser: From the left camera's frame to the laser scanner's, if known.
             keep: Leave the files that are there as they are.
 
         Raises:
@@ -119,6 +125,8 @@ class MapFiles:
                 _WRITERS[kind](path, result)
             elif calibration is None:
                 raise InputError(f"{path}: depth needs a calibration, and {name} has none")
+            elif kind == LASER_POINTS:
+                write_laser_points(path, result.points(calibration), to_laser)
             else:
                 write_depth(path, result.depth(calibration))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams.bags import TOLERANCE_S, is_bag, open_bag
 from mobilestereonet.streams.captures import is_capture, open_captures
-from mobilestereonet.streams.pairs import find_pairs, read_pairs
+from mobilestereonet.streams.pairs import pair_folders, read_pairs
 from mobilestereonet.streams.stream import Stream
 from mobilestereonet.streams.video_files import open_videos
 
@@ -53,7 +53,7 @@ def open_stream(
         if not Path(left).exists():
             raise FileNotFoundError(f"{left}: no such video")
         raise InputError(f"{left}: an image sequence needs two folders or patterns, left and right")
-    pairs = find_pairs(left, right)
+    pairs = pair_folders(left, right)
     return Stream(read_pairs(pairs, fps), len(pairs))
 
 

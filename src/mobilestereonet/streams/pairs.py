@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Generator, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.files import visible
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners import PairFolder
 from mobilestereonet.data.scanners.base import Frame
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import load_pair
+from mobilestereonet.streams.laser import Pose
 from mobilestereonet.streams.stream import StereoFrame
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
@@ -29,33 +29,29 @@ class PairFiles:
         left: File of the left view.
         right: File of the right view.
         calibration: Its geometry, if the folders tell it.
+        to_laser: From the left camera's frame to the laser scanner's, if the folders tell it.
     """
 
     name: str
     left: Path
     right: Path
     calibration: Calibration | None = None
+    to_laser: Pose | None = field(default=None, compare=False)
 
 
-def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFiles]:
-    """Find the pairs of two folders, or of a data set in the layout of KITTI's odometry.
+def pair_folders(left: str | Path, right: str | Path) -> list[PairFiles]:
+    """Find the pairs of two folders or patterns, in the order of their names.
 
     Args:
-        left: Folder of left views, or a pattern such as ``run/cam0/*.png``. Without ``right``, the
-            folder that holds ``sequences/00/image_2`` and so on.
+        left: Folder of left views, or a pattern.
         right: Folder of right views whose files have the same names, or a pattern whose wildcards
-            stand for the same as in ``left``.
-
-    Returns:
-        The pairs in the order of their names, in which 10 comes after 9.
+            stand for the same.
 
     Raises:
         FileNotFoundError: If a folder or a view does not exist.
         InputError: If a view has no partner, two have one name, or the folders do not tell which
             images are meant.
     """
-    if right is None:
-        return _kitti_odometry(Path(left))
     patterns = [_pattern(source) for source in (left, right)]
     frames = _PairFolders(*patterns).frames
     right_root, right_views = patterns[1]
@@ -88,26 +84,6 @@ class _PairFolders(PairFolder):
     def frame(self, left: Path) -> Frame:
         frame = super().frame(left)
         return replace(frame, right=self.right_root / frame.right.relative_to(self.root))
-
-
-def _kitti_odometry(root: Path) -> list[PairFiles]:
-    sequences = root / "sequences"
-    cameras = next((c for c in ((2, 3), (0, 1)) if any(sequences.glob(f"*/image_{c[0]}"))), None)
-    if cameras is None:
-        raise InputError(
-            f"{root}: no sequences/*/image_2 or image_0 in it, as KITTI's odometry has; give two "
-            "folders or patterns, the left views and the right ones"
-        )
-    left, right = (f"{sequences}/*/image_{camera}/*.png" for camera in cameras)
-    calibrations = {
-        file.parent.name: read_calibration(file, cameras) for file in sequences.glob("*/calib.txt")
-    }
-    pairs = []
-    for pair in find_pairs(left, right):
-        sequence, _, frame = pair.name.split("/")
-        calibration = calibrations.get(sequence)
-        pairs.append(PairFiles(f"{sequence}/{frame}", pair.left, pair.right, calibration))
-    return pairs
 
 
 def _pattern(source: str | Path) -> tuple[Path, str]:
@@ -151,4 +127,12 @@ def read_pairs(pairs: Iterable[PairFiles], fps: float = 1.0) -> Generator[Stereo
             pair = load_pair(files.left, files.right)
         except (InputError, OSError) as error:
             problem = str(error)
-        yield StereoFrame(index, files.name, index / fps, pair, problem, files.calibration)
+        yield StereoFrame(
+            index,
+            files.name,
+            index / fps,
+            pair,
+            problem,
+            files.calibration,
+            to_laser=files.to_laser,
+        )

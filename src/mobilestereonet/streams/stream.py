@@ -12,6 +12,7 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import StereoPair, load_pair
 from mobilestereonet.inference.rectify import Rectifier
+from mobilestereonet.streams.laser import Pose
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class StereoFrame:
         calibration: Geometry of the pair, if the source knows it.
         stamp: When it was taken, in ns of the source's clock; None if the source has none.
         frame_id: Name of the left camera's coordinate frame in ROS, if the source knows it.
+        to_laser: From the left camera's frame to a laser scanner's, if the source knows it.
     """
 
     index: int
@@ -37,6 +39,7 @@ class StereoFrame:
     calibration: Calibration | None = None
     stamp: int | None = None
     frame_id: str = ""
+    to_laser: Pose | None = None
 
 
 @dataclass(frozen=True)
