@@ -237,7 +237,7 @@ def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
         (("left", "right", *topics(*VIEWS)), "topics are those of a bag"),
         (
             ("run.mcap", *topics(*VIEWS), "--bag", "run.mcap"),
-            "run.mcap: it would replace its source",
+            "run.mcap: this call reads it",
         ),
         (("run.mcap", *topics(*VIEWS), "--bag", "out.db3"), "bags are written as .mcap, .bag"),
     ],

@@ -61,6 +61,11 @@ class SinkOptions:
         """What is asked for."""
         return [str(sink) for sink in (self.bag, self.rerun) if sink is not None]
 
+    @property
+    def files(self) -> list[Path]:
+        """The files that are asked for; a viewer is none."""
+        return [Path(sink) for sink in self.given if sink.endswith((*BAG_ENDINGS, ".rrd"))]
+
     def open(
         self, stack: ExitStack, matcher: StereoMatcher, topics: tuple[str, ...] = ()
     ) -> list[Sink]:

@@ -110,12 +110,8 @@ def video(
     rectifier = cameras.read()
     if output is not None:
         check_video_file(output)
-        note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
-        check_outputs(output)
-    for source in (left, right or left):
-        for path in map(str, sinks.given):
-            if Path(source.removeprefix("file://")).resolve() == Path(path).resolve():
-                raise InputError(f"{path}: it would replace its source; choose another name")
+    note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
+    check_outputs(*([] if output is None else [output]), *sinks.files)
     stream = open_stream(left, right, fps, **asdict(topics))
     if rectifier is not None:
         if stream.calibration is not None and rectifier.rectifies:
