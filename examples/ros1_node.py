@@ -37,7 +37,7 @@ def main() -> None:
     )
     matcher.confidence = matcher.engine.has_confidence
     max_depth = rospy.get_param("~max_depth", float("inf"))
-    messages = ResultMessages(message_maker(), matcher.engine.max_disparity, max_depth)
+    messages = ResultMessages(message_maker(), matcher.max_disparity, max_depth)
     publishers = {
         name: rospy.Publisher(name, message_class(kind), queue_size=1)
         for name, kind in RESULT_TOPICS.items()

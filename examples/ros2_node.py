@@ -51,7 +51,7 @@ def main() -> None:
     matcher.confidence = matcher.engine.has_confidence
     messages = ResultMessages(
         message_maker(lambda data: array("B", data)),
-        matcher.engine.max_disparity,
+        matcher.max_disparity,
         parameter("max_depth", float("inf")),
     )
     publishers = {

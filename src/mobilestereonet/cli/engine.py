@@ -118,6 +118,25 @@ MaxDisparity: TypeAlias = Annotated[
 ]
 
 
+Scale: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        min=0.25,
+        max=1,
+        help="Match at this part of height and width; results keep the size of the views. It is "
+        "faster and reaches nearer things. Default: the quality's.",
+        show_default=False,
+    ),
+]
+Shift: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        help="Disparity from which the search begins, in px: above 0 for near things alone, below "
+        "0 for cameras that converge."
+    ),
+]
+
+
 @dataclass(frozen=True)
 class NetworkOptions:
     """Options that choose a network, its weights and values of its config.
@@ -197,6 +216,8 @@ class MatcherOptions(NetworkOptions):
     refine: Refine = None
     quality: QualityLevel = None
     max_disparity: MaxDisparity = None
+    scale: Scale = None
+    shift: Shift = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -239,6 +260,7 @@ class MatcherOptions(NetworkOptions):
         """
         from mobilestereonet.inference import StereoMatcher
 
+        options = {"scale": self.scale, "shift": self.shift} | options
         if not self.is_standalone:
             options |= {"engine": self.runtime, "precision": self.precision}
             options["model"] = self.model if self.weights else None

@@ -83,8 +83,7 @@ class SinkOptions:
 
         sinks: list[Sink] = []
         if self.bag is not None:
-            searched = matcher.engine.max_disparity
-            bag = BagFile(self.bag, searched, topics=topics)
+            bag = BagFile(self.bag, matcher.max_disparity, topics=topics)
             sinks.append(stack.enter_context(bag).write)
         if self.rerun is not None:
             log = RerunLog(self.rerun)

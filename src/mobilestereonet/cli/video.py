@@ -91,9 +91,9 @@ def video(
             "--resume takes disparities from files, which have no confidence and no right view: "
             "leave out --min-confidence and --left-right, or start anew"
         )
-    if hz is not None and (options.quality is not None or not options.is_default):
+    if hz is not None and (options.quality or options.scale or not options.is_default):
         raise InputError(
-            f"--hz {hz:g} chooses the network: leave out --quality, --model and --weights"
+            f"--hz {hz:g} chooses the network: leave out --quality, --model, --weights and --scale"
         )
 
     import time

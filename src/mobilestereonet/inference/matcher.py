@@ -27,7 +27,7 @@ from mobilestereonet.inference.pair import (
     load_batch,
     load_pair,
 )
-from mobilestereonet.inference.predict import Tile, match_pairs, predict_disparity
+from mobilestereonet.inference.predict import Tile, match_pairs, predict_disparity, shifted
 from mobilestereonet.inference.pretrained import misspelt_options, open_model
 from mobilestereonet.inference.quality import DEFAULT_QUALITY, Quality, find_quality
 from mobilestereonet.inference.rectify import Rectifier
@@ -86,6 +86,7 @@ class StereoMatcher:
         refine: bool | None = None,
         scale: float = 1.0,
         rig: RigLike | None = None,
+        shift: int = 0,
     ) -> None:
         """Make a matcher of a network or an engine.
 
@@ -116,6 +117,9 @@ class StereoMatcher:
             rig: Geometry of the cameras: a `Rig`, or what `Rig.read` takes. Pairs of images are
                 rectified if they are raw, and results have their calibration; tensors given to
                 `infer` are not touched.
+            shift: Disparity from which the search begins, in px: the right view is moved to the
+                right by as much, and the disparities get it back. Above 0 it reaches nearer
+                things, below 0 what converging cameras see with negative disparities.
 
         Raises:
             InputError: If an engine is unknown or not installed, or lacks the precision or the
@@ -130,6 +134,8 @@ class StereoMatcher:
         if isinstance(scale, bool) or not isinstance(scale, int | float):
             raise InputError(f"scale must be a number in 0.25..1, got {scale!r}")
         check_scale(scale)
+        if isinstance(shift, bool) or not isinstance(shift, int):
+            raise InputError(f"shift must be a whole number of pixels, got {shift!r}")
         if padding is not None and scale != 1:
             raise InputError(f"padding to {padding} and a scale of {scale}: choose one of them")
         for what, size in (("padding", padding), ("tile", tile)):
@@ -138,6 +144,7 @@ class StereoMatcher:
         if padding is not None and tile not in ("auto", None):
             raise InputError(f"tiles of {tile} and padding to {padding}: choose one of them")
         self._scale = scale
+        self.shift = shift
         self._net = model if isinstance(model, StereoModel) else None
         self._options: dict[str, Any] = {"precision": precision, "threads": threads}
         if isinstance(model, StereoModel):
@@ -186,6 +193,7 @@ class StereoMatcher:
         refine: bool | None = None,
         scale: float | None = None,
         rig: RigLike | None = None,
+        shift: int = 0,
         config: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> StereoMatcher:
@@ -211,6 +219,7 @@ class StereoMatcher:
             refine: Likewise.
             scale: Likewise; by default that of the quality.
             rig: See `StereoMatcher`.
+            shift: Likewise.
             config: Values of the network's config in place of those of the weights; for "sgbm" its
                 ``max_disparity``.
             **overrides: The same as keywords, such as ``estimator="mean"``.
@@ -252,6 +261,7 @@ class StereoMatcher:
             refine=refine,
             scale=level.scale if scale is None else scale,
             rig=rig,
+            shift=shift,
             **options,
         )
         if not (config or overrides or scale is not None):
@@ -283,6 +293,11 @@ class StereoMatcher:
         return engine if self._scale == 1 else ScaledEngine(engine, self._scale)
 
     @property
+    def max_disparity(self) -> int:
+        """Disparities from ``shift`` on and below this are searched, in px."""
+        return self.engine.max_disparity + self.shift
+
+    @property
     def device(self) -> torch.device:
         """Device that the engine runs on."""
         return self.engine.device
@@ -293,6 +308,8 @@ class StereoMatcher:
         model = f"{self.quality} ({self.model})" if self.quality else self.model
         if self._scale != 1:
             model += f" at {self._scale:g} of the size"
+        if self.shift:
+            model += f" shifted by {self.shift} px"
         return f"{model} on {self.engine.name} {self.engine.precision}"
 
     def __repr__(self) -> str:
@@ -400,6 +417,7 @@ class StereoMatcher:
             seconds=(time.perf_counter() - started) / len(pairs),
             quality=self.quality,
             scale=self._scale,
+            shift=self.shift,
         )
         return [
             StereoResult(
@@ -415,12 +433,13 @@ class StereoMatcher:
         ]
 
     def _predict(self, left: Tensor, right: Tensor, confidence: bool) -> Prediction:
-        return predict_disparity(
+        disparity, sure = predict_disparity(
             self.engine,
             left,
-            right,
+            shifted(right, self.shift),
             padding=self.padding,
             tile=self.tile,
             refine=self.refine,
             confidence=confidence,
         )
+        return Prediction(disparity + self.shift, sure)

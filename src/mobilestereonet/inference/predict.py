@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeAlias
 
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -95,6 +96,19 @@ def predict_disparity(
             disparity = refine_disparity(disparity, more[0], left)
             disparity = fit_subpixel(disparity, left, right)
     return Prediction(disparity, more[0] if confidence and more else None)
+
+
+def shifted(view: Tensor, shift: int) -> Tensor:
+    """Views moved to the right by some pixels (to the left if negative), their border repeated.
+
+    Raises:
+        InputError: If nothing of them is left.
+    """
+    width = view.shape[-1]
+    if abs(shift) >= width:
+        raise InputError(f"a shift of {shift} px moves views of {width} px width out of sight")
+    left, right = max(shift, 0), max(-shift, 0)
+    return F.pad(view[..., right : width - left], (left, right, 0, 0), mode="replicate")
 
 
 def match_pairs(

@@ -68,6 +68,7 @@ class RunInfo:
         seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.
         quality: Quality level that chose the model and its settings; None where none did.
         scale: Factor of height and width in which the pair was matched.
+        shift: Disparity from which the search began, in px.
     """
 
     model: str
@@ -80,11 +81,14 @@ class RunInfo:
     seconds: float
     quality: str | None = None
     scale: float = 1.0
+    shift: int = 0
 
     def __str__(self) -> str:
         model = f"{self.quality} ({self.model})" if self.quality else self.model
         if self.scale != 1:
             model += f" at {self.scale:g} of the size"
+        if self.shift:
+            model += f" shifted by {self.shift} px"
         return f"{model} on {self.engine} {self.precision}, {self.width}x{self.height}"
 
 

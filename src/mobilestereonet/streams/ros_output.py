@@ -128,7 +128,8 @@ class ResultMessages:
         doffs = 0.0 if calibration is None else calibration.doffs
         if calibration is not None:
             calibration.require_size(width, height)
-        lowest = max(doffs, 0.0)
+        start = 0 if result.info is None else result.info.shift
+        lowest = max(start + doffs, 0.0)
         shifted = result.disparity + np.float32(doffs)
         known = result.valid & (shifted >= lowest)
         values = np.where(known, shifted, np.float32(lowest - 1)).astype(np.float32)
