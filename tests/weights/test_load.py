@@ -10,6 +10,7 @@ import torch
 
 from mobilestereonet import InputError, create_model, load_model, save_weights
 from mobilestereonet.weights import card, save_pretrained
+from mobilestereonet.weights.hub import model_page
 
 SMALL = {"max_disparity": 32, "hourglasses": 1, "width": 8}
 
@@ -136,3 +137,18 @@ def test_a_folder_without_a_card_says_so(net, tmp_path):
 def test_the_folder_of_a_run(net, tmp_path):
     save_weights(net, tmp_path / "weights.safetensors", dtype=torch.float16)
     assert load_model(tmp_path).config == net.config
+
+
+@pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
+def test_the_hub_reads_the_figures_of_a_page(name):
+    hub = pytest.importorskip("huggingface_hub")
+    own = card(name)
+    page = hub.ModelCard(model_page("msnet", own), ignore_metadata_errors=False)
+    assert page.data.license == "apache-2.0"
+    assert page.data.model_name == own["model"]
+    results, rows = page.data.eval_results, own["metrics"]["pairs"]
+    figures = {(each.dataset_name, each.metric_type): each.metric_value for each in results}
+    assert len(figures) == 2 * len(rows)
+    for row in rows:
+        assert figures[row["pair"], "epe"] == row["epe_px"]
+        assert figures[row["pair"], "d1"] == row["d1_percent"]

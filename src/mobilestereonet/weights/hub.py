@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import yaml  # type: ignore[import-untyped]
 
 from mobilestereonet.atomic import write_text
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel
 from mobilestereonet.weights.files import model_reference, save_weights, write_json
 
+_TASK = "depth-estimation"
 _FIGURES = ("epe_px", "d1_percent")
 
 
@@ -71,25 +75,40 @@ def save_pretrained(
 
 
 def model_page(model: str, card: dict[str, Any]) -> str:
-    """A model card as a page, with the head that the hub reads."""
-    licence = card.get("licence")
-    head = ["library_name: mobilestereonet", "pipeline_tag: depth-estimation"]
-    head += [f"license: {licence.lower()}"] if licence else []
-    lines = ["---", *head, "tags: [stereo-matching]", "---", f"# {card.get('model', model)}", ""]
-    lines += [f"Stereo matching network `{model}` of the Python package mobilestereonet.", ""]
+    """A model card as a page, with the head that the hub reads; figures in its ``model-index``."""
+    licence, name = card.get("licence"), str(card.get("model", model))
+    training, metrics = (_part(card, key) for key in ("training", "metrics"))
+    rows = [row for row in metrics.get("pairs", ()) if {"pair", *_FIGURES} <= row.keys()]
+    head: dict[str, Any] = {"library_name": "mobilestereonet", "pipeline_tag": _TASK}
+    head |= {"license": licence.lower()} if licence else {}
+    head |= {"tags": ["stereo-matching"]}
+    head |= {"model-index": [{"name": name, "results": [_result(r) for r in rows]}]} if rows else {}
+    lines = ["---", yaml.safe_dump(head, sort_keys=False, allow_unicode=True) + "---", f"# {name}"]
+    lines += ["", f"Stereo matching network `{model}` of the Python package mobilestereonet.", ""]
     lines += ["```python", "from mobilestereonet import StereoMatcher", ""]
     lines += ['matcher = StereoMatcher.from_pretrained("path/to/this/folder")', "```", ""]
     lines += [f"- Licence: {licence or 'not stated'}"]
     lines += [f"- Version: {card['version']}, {card['date']}"] if "version" in card else []
-    training, metrics = (_part(card, key) for key in ("training", "metrics"))
     lines += [f"- Trained on: {training['data']}"] if "data" in training else []
     lines += [f"- Training: {training['steps']} steps"] if "steps" in training else []
-    rows = [row for row in metrics.get("pairs", ()) if {"pair", *_FIGURES} <= row.keys()]
     if rows:
         lines += ["", f"Accuracy ({metrics.get('protocol', 'protocol not stated')}):", ""]
         lines += ["| pair | EPE, px | D1, % |", "| --- | --- | --- |"]
         lines += ["| {pair} | {epe_px} | {d1_percent} |".format(**row) for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def _result(row: dict[str, Any]) -> dict[str, Any]:
+    """The figures of one pair or set as an entry of the hub's ``model-index``."""
+    kind = re.sub(r"[^a-z0-9]+", "-", row["pair"].lower()).strip("-")
+    return {
+        "task": {"type": _TASK, "name": "stereo matching"},
+        "dataset": {"type": kind, "name": row["pair"]},
+        "metrics": [
+            {"type": "epe", "value": row["epe_px"], "name": "EPE, px"},
+            {"type": "d1", "value": row["d1_percent"], "name": "D1, %"},
+        ],
+    }
 
 
 def _part(card: dict[str, Any], key: str) -> dict[str, Any]:
