@@ -1,11 +1,14 @@
 """Disparities beyond the range that is searched, and negative ones."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from mobilestereonet import InputError, StereoMatcher
+from mobilestereonet.inference import checks
 from mobilestereonet.inference.predict import shifted
 
 SCENE = cv2.GaussianBlur(
@@ -81,3 +84,20 @@ def test_the_command_line(msnet, tmp_path):
     assert out.startswith("sgbm at 0.5 of the size on sgbm")
     found = middle(cv2.imread(str(tmp_path / "out/left_disparity.png"), -1)) / 256
     assert np.median(found) == pytest.approx(50, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "options"),
+    [(20, 300, "--scale 0.58"), (150, 300, "--scale 0.58 --shift 143"), (9, 900, "")],
+)
+def test_doctor_tells_the_number_to_use(low, high, options):
+    disparity = np.linspace(low, high, 1001)
+    advice = checks._range(disparity, 192).advice
+    assert " ".join(re.findall(r"--\w+ [\d.]+\d", advice)) == options
+    assert ("make both views smaller" in advice) == (not options)
+
+
+def test_doctor_tells_where_converging_cameras_begin():
+    finding = checks._order(np.concatenate((np.linspace(-20, -1, 50), np.linspace(0, 60, 200))))
+    assert (finding.check, finding.level) == ("order", "problem")
+    assert "--shift -28" in finding.advice

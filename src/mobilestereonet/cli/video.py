@@ -27,7 +27,8 @@ def video(
         str,
         typer.Argument(
             help="Side-by-side video, or the left view's: a file; a camera's number, device or "
-            "address; a folder or a pattern of images. Or a bag: .mcap, .bag, .db3 or its folder."
+            "address; a folder or a pattern of images. A bag: .mcap, .bag, .db3 or its folder. "
+            "realsense: or oak:."
         ),
     ],
     right: Annotated[str | None, typer.Argument(help="The right view's, likewise.")] = None,

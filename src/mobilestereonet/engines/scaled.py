@@ -13,6 +13,9 @@ from mobilestereonet.engines.base import Engine
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
+MIN_SCALE = 0.25
+"""Smallest factor of a `ScaledEngine`."""
+
 
 def check_scale(scale: float) -> None:
     """Check the factor of a `ScaledEngine`.
@@ -20,7 +23,7 @@ def check_scale(scale: float) -> None:
     Raises:
         InputError: If it is not in 0.25..1.
     """
-    if not 0.25 <= scale <= 1:
+    if not MIN_SCALE <= scale <= 1:
         raise InputError(f"scale must be in 0.25..1, got {scale}")
 
 

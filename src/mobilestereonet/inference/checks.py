@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from mobilestereonet.data.images import Picture
+from mobilestereonet.engines.scaled import MIN_SCALE
 from mobilestereonet.inference.arrangement import (
     AS_GIVEN,
     Arrangement,
@@ -26,6 +27,9 @@ from mobilestereonet.inference.finding import Finding
 
 _MAX_FEATURE_PIXELS = 1_000_000
 """Size in pixels to which larger pictures are scaled down for the feature search."""
+
+_SPARE_PX = 8
+"""By how much a search begins below the smallest disparity of the features."""
 
 _FEATURES_OF_A_SCENE = 300
 """Features of each view from which on a scene that both show would be recognised."""
@@ -186,8 +190,8 @@ def _order(disparity: Points) -> Finding:
     negative = float(np.mean(disparity < -1))
     shift = -float(np.percentile(disparity, 1))
     converge = (
-        "the cameras converge, or the views are cropped differently: rectify them, or move the "
-        f"right view {shift:.0f} px to the left and add {-shift:.0f} to the calibration's doffs"
+        "the cameras converge, or the views are cropped differently: rectify them, or let the "
+        f"search begin there (--shift {-math.ceil(shift) - _SPARE_PX}); doffs is the calibration's"
     )
     if is_swapped(disparity):
         text = f"{negative:.0%} of the features move to the right, seen from the left view"
@@ -207,10 +211,20 @@ def _range(disparity: Points, max_disparity: float) -> Finding:
     text = f"the features' disparities go from {low:.0f} to {high:.0f} px"
     if high > max_disparity - 1:
         text += f", beyond the network's {max_disparity - 1}"
-        factor = 0.9 * (max_disparity - 1) / high
-        advice = f"make both views smaller, to {factor:.2f} of their size: disparities shrink too"
-        return Finding("range", "problem", text, advice)
+        return Finding("range", "problem", text, _beyond(low, high, max_disparity))
     if high < 5:
         advice = "depth will be coarse: use larger pictures, or cameras farther apart"
         return Finding("range", "warning", text, advice)
     return Finding("range", "good", text)
+
+
+def _beyond(low: float, high: float, max_disparity: float) -> str:
+    """What to do about disparities from ``low`` to ``high``, beyond the network's."""
+    factor = 0.9 * (max_disparity - 1) / high
+    advice = f"make both views smaller, to {factor:.2f} of their size: disparities shrink too"
+    if factor >= MIN_SCALE:
+        advice = f"match them smaller (--scale {factor:.2f}): disparities shrink, too"
+    start = math.floor(low) - _SPARE_PX
+    if 0 < start and high < start + max_disparity - 1:
+        advice += f"; or let the search begin near {low:.0f} px (--shift {start})"
+    return advice

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mobilestereonet.atomic import check_outputs, write_atomically
 from mobilestereonet.data.images import FloatMap, Picture
-from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.errors import InputError
 from mobilestereonet.inference.geometry import MAX_DISPARITY_GRADIENT
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Mesh:
             The files.
 
         Raises:
-            InputError: If the ending is another one, there is no face, or Pillow is not installed.
+            InputError: If the ending is another one, or there is no face.
         """
         path = check_mesh_file(path)
         if not len(self.faces):
@@ -85,8 +86,6 @@ class Mesh:
 
         visual = None
         if texture_name:
-            with needs_extra("mesh", "STL needs no texture"):
-                from PIL import Image
             material = trimesh.visual.material.SimpleMaterial(  # type: ignore[no-untyped-call]
                 image=Image.fromarray(self.texture), name=texture_name, ambient=(255, 255, 255, 255)
             )

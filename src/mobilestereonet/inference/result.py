@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_png
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
@@ -31,7 +32,6 @@ from mobilestereonet.plots import colour_disparity, plot_maps, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from PIL.Image import Image as PILImage
 
 MAP_FILES = {
     "png": "disparity.png",
@@ -305,14 +305,8 @@ class StereoResult:
         """The left view beside the coloured disparity, (H, 2 W + gap, 3) uint8 RGB."""
         return side_by_side([self.left, colour_disparity(self.disparity, valid=self.valid)])
 
-    def to_pil(self) -> PILImage:
-        """The disparity's colours as a PIL image, of the left view's size.
-
-        Raises:
-            InputError: If Pillow is not installed.
-        """
-        with needs_extra("mesh", "picture() gives an array"):
-            from PIL import Image
+    def to_pil(self) -> Image.Image:
+        """The disparity's colours as a PIL image, of the left view's size."""
         return Image.fromarray(colour_disparity(self.disparity, valid=self.valid))
 
     def plot(self, figure: Figure | None = None) -> Figure:

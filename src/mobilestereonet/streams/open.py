@@ -7,6 +7,7 @@ from pathlib import Path
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams.bags import TOLERANCE_S, is_bag, open_bag
 from mobilestereonet.streams.captures import is_capture, open_captures
+from mobilestereonet.streams.devices import is_device, open_device
 from mobilestereonet.streams.pairs import pair_folders, read_pairs
 from mobilestereonet.streams.stream import Stream
 from mobilestereonet.streams.video_files import open_videos
@@ -26,7 +27,8 @@ def open_stream(
     Args:
         left: A video file; the number of a camera, its device or an address; or, for an image
             sequence, a folder or a pattern. Without ``right`` it shows both views side by side.
-            Or a bag, which has both views as topics.
+            Or a bag, which has both views as topics; or ``realsense:`` or ``oak:``, see
+            `open_device`.
         right: The same of the right view.
         fps: Frames per second of an image sequence.
         left_topic: Topic of a bag's left images.
@@ -42,6 +44,10 @@ def open_stream(
         if right is not None:
             raise InputError(f"{left} and {right}: a bag has both views, give it alone")
         return open_bag(left, left_topic, right_topic, tolerance)
+    if is_device(left):
+        if right is not None:
+            raise InputError(f"{left} has both views: leave {right} out")
+        return open_device(left)
     if left_topic is not None or right_topic is not None:
         raise InputError(f"{left}: topics are those of a bag (.mcap, .bag, .db3), not of this")
     for kind, is_kind in (("captures", is_capture), ("video files", _is_file)):

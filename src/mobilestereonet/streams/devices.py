@@ -1,0 +1,175 @@
+"""Stereo cameras with their makers' libraries: RealSense and OAK, calibrated in the factory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from itertools import count
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mobilestereonet.data.images import Array
+from mobilestereonet.data.rig import Camera, CameraPair
+from mobilestereonet.data.rig.cameras import Rectification
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.streams.overlap import latest_only
+from mobilestereonet.streams.rectified import Rectifier
+from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
+
+REALSENSE_SIZE = (848, 480)
+OAK_SIZE = (640, 400)
+FRAMES_PER_SECOND = 30
+
+
+def is_device(source: str) -> bool:
+    """Whether a source is a camera of these makers: ``realsense:`` or ``oak:``, and a serial."""
+    return source.partition(":")[0] in _OPENERS and ":" in source
+
+
+def open_device(source: str) -> Stream:
+    """Open a camera; frames that come while another one is matched are dropped.
+
+    Args:
+        source: ``realsense:`` or ``oak:``; what follows is the serial number or the address of one
+            of several.
+
+    Raises:
+        InputError: If the maker's library is not installed, or there is no such camera.
+    """
+    maker, _, serial = source.partition(":")
+    try:
+        return _OPENERS[maker](serial)
+    except RuntimeError as error:  # of both libraries
+        raise InputError(f"{source}: this camera cannot be opened: {error}") from error
+
+
+def _open_realsense(serial: str) -> Stream:
+    """The two infrared cameras, whose pictures are rectified, without the pattern of dots."""
+    with needs_extra("realsense"):
+        import pyrealsense2
+    rs: Any = pyrealsense2
+    pipeline, config = rs.pipeline(), rs.config()
+    if serial:
+        config.enable_device(serial)
+    for index in (1, 2):  # left and right
+        config.enable_stream(
+            rs.stream.infrared, index, *REALSENSE_SIZE, rs.format.y8, FRAMES_PER_SECOND
+        )
+    profile = pipeline.start(config)
+    sensor = profile.get_device().first_depth_sensor()
+    if sensor.supports(rs.option.emitter_enabled):
+        sensor.set_option(rs.option.emitter_enabled, 0)
+    left, right = (
+        profile.get_stream(rs.stream.infrared, index).as_video_stream_profile() for index in (1, 2)
+    )
+
+    def take() -> list[Array]:
+        frames = pipeline.wait_for_frames()
+        return [np.array(frames.get_infrared_frame(index).get_data()) for index in (1, 2)]
+
+    calibration = realsense_calibration(left.get_intrinsics(), left.get_extrinsics_to(right))
+    return _live(take, pipeline.stop, calibration)
+
+
+def realsense_calibration(intrinsics: Any, extrinsics: Any) -> Calibration:
+    """Calibration of the infrared pair.
+
+    Args:
+        intrinsics: The left camera's ``rs.intrinsics``.
+        extrinsics: ``rs.extrinsics`` from the left to the right camera, in metres.
+    """
+    return Calibration(
+        focal=intrinsics.fx,
+        baseline=-extrinsics.translation[0],
+        cx=intrinsics.ppx,
+        cy=intrinsics.ppy,
+        size=(intrinsics.width, intrinsics.height),
+        focal_y=None if intrinsics.fy == intrinsics.fx else intrinsics.fy,
+    )
+
+
+def _open_oak(address: str) -> Stream:
+    """The left and the right camera, rectified here by the factory's calibration."""
+    with needs_extra("oak"):
+        import depthai
+    dai: Any = depthai
+    device = dai.Device(dai.DeviceInfo(address)) if address else dai.Device()
+    pipeline = dai.Pipeline(device)
+    sockets = dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C
+    together = pipeline.create(dai.node.Sync)
+    for name, socket in zip(("left", "right"), sockets, strict=True):
+        camera = pipeline.create(dai.node.Camera).build(socket)
+        output = camera.requestOutput(OAK_SIZE, dai.ImgFrame.Type.GRAY8, fps=FRAMES_PER_SECOND)
+        output.link(together.inputs[name])
+    queue = together.out.createOutputQueue(maxSize=1, blocking=False)
+    cameras, calibration = oak_cameras(device.readCalibration(), sockets, OAK_SIZE)
+    rectify = Rectifier(cameras)
+    pipeline.start()
+
+    def take() -> list[Array]:
+        group = queue.get()
+        return rectify([group[name].getCvFrame() for name in ("left", "right")])
+
+    return _live(take, pipeline.stop, calibration)
+
+
+def oak_cameras(
+    handler: Any, sockets: Sequence[Any], size: tuple[int, int]
+) -> tuple[CameraPair, Calibration]:
+    """The raw cameras with their rectification, and the calibration of the rectified pictures.
+
+    Args:
+        handler: ``dai.CalibrationHandler``; its translations are in centimetres.
+        sockets: The left and the right camera's.
+        size: Width and height of their pictures.
+    """
+    left, right = (
+        Camera(
+            np.array(handler.getCameraIntrinsics(socket, *size)),
+            np.array(handler.getDistortionCoefficients(socket)),
+        )
+        for socket in sockets
+    )
+    pose = np.array(handler.getCameraExtrinsics(*sockets))
+    rotation, translation = pose[:3, :3], pose[:3, 3] / 100
+    r1, r2, p1, p2, *_ = map(
+        np.asarray,
+        cv2.stereoRectify(
+            left.matrix,
+            left.distortion,
+            right.matrix,
+            right.distortion,
+            size,
+            rotation,
+            translation[:, None],
+            flags=cv2.CALIB_ZERO_DISPARITY,
+            alpha=0,
+        ),
+    )
+    rectification = Rectification((r1, r2), (p1, p2))
+    cameras = CameraPair(left, right, rotation, translation, size, rectification)
+    focal, baseline = float(p2[0, 0]), float(-p2[0, 3] / p2[0, 0])
+    return cameras, Calibration(
+        focal=focal, baseline=baseline, cx=float(p1[0, 2]), cy=float(p1[1, 2]), size=size
+    )
+
+
+def _live(
+    take: Callable[[], list[Array]], stop: Callable[[], object], calibration: Calibration
+) -> Stream:
+    def frames() -> Generator[StereoFrame]:
+        started = time.monotonic()
+        try:
+            for index in count():
+                pictures = take()
+                yield make_frame(index, time.monotonic() - started, pictures)
+        finally:
+            stop()
+
+    return Stream(latest_only(frames()), None, live=True, calibration=calibration)
+
+
+_OPENERS: dict[str, Callable[[str], Stream]] = {"realsense": _open_realsense, "oak": _open_oak}

@@ -1,0 +1,161 @@
+"""Cameras of RealSense and OAK, with stand-ins for their makers' libraries."""
+
+import sys
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from noise_pairs import HEIGHT, WIDTH, centre, make_pair
+
+from mobilestereonet import InputError
+from mobilestereonet.streams import devices, match_stream, open_stream
+
+
+class Anything(SimpleNamespace):
+    """Takes every call and has every attribute; gives itself."""
+
+    def __getattr__(self, name):
+        return self
+
+    def __getitem__(self, name):
+        return self
+
+    def __call__(self, *arguments, **options):
+        return self
+
+
+INTRINSICS = SimpleNamespace(fx=100.0, fy=100.0, ppx=80.5, ppy=24.5, width=WIDTH, height=HEIGHT)
+
+
+@pytest.fixture
+def stopped():
+    return []
+
+
+@pytest.fixture
+def realsense(monkeypatch, stopped):
+    """A camera that sees noise again and again; tells which streams were asked for."""
+    views = [cv2.cvtColor(view, cv2.COLOR_RGB2GRAY) for view in make_pair(12)]
+    frames = SimpleNamespace(
+        get_infrared_frame=lambda index: SimpleNamespace(get_data=lambda: views[index - 1])
+    )
+    profile = SimpleNamespace(
+        get_intrinsics=lambda: INTRINSICS,
+        get_extrinsics_to=lambda other: SimpleNamespace(translation=[-0.05, 0, 0]),
+    )
+    started = SimpleNamespace(
+        get_device=Anything(),
+        get_stream=lambda kind, index: SimpleNamespace(as_video_stream_profile=lambda: profile),
+    )
+    config = Anything(asked=[])
+    config.enable_stream = lambda *stream: config.asked.append(stream)
+    pipeline = SimpleNamespace(
+        start=lambda config: started,
+        wait_for_frames=lambda: frames,
+        stop=lambda: stopped.append(True),
+    )
+    library = SimpleNamespace(
+        pipeline=lambda: pipeline,
+        config=lambda: config,
+        stream=SimpleNamespace(infrared="infrared"),
+        format=SimpleNamespace(y8="y8"),
+        option=Anything(),
+    )
+    monkeypatch.setitem(sys.modules, "pyrealsense2", library)
+    return config
+
+
+def test_realsense_gives_depth_at_once(realsense, matcher, stopped):
+    loop = match_stream("realsense:", matcher)
+    frame, result = next(loop)
+    loop.close()
+    assert stopped == [True]
+    assert [stream[:2] for stream in realsense.asked] == [("infrared", 1), ("infrared", 2)]
+    assert np.median(centre(result.disparity)) == pytest.approx(12, abs=0.1)
+    known = frame.calibration
+    assert (known.focal, known.baseline, known.cx, known.size) == (100, 0.05, 80.5, (WIDTH, HEIGHT))
+    assert np.median(centre(result.depth(known))) == pytest.approx(5 / 12, rel=0.01)
+
+
+class Handler:
+    """The factory's calibration as depthai tells it, of cameras that are turned and distort."""
+
+    lens = np.array([-0.2, 0.05, 0.001, 0, 0] + [0] * 9)
+    turn = cv2.Rodrigues(np.array([0.01, 0.02, -0.01]))[0]
+
+    def getCameraIntrinsics(self, socket, width, height):  # noqa: N802
+        return [[400.0, 0, width / 2], [0, 400.0, height / 2], [0, 0, 1]]
+
+    def getDistortionCoefficients(self, socket):  # noqa: N802
+        return self.lens.tolist()
+
+    def getCameraExtrinsics(self, source, target):  # noqa: N802
+        assert (source, target) == ("B", "C")
+        pose = np.eye(4)
+        pose[:3, :3] = self.turn
+        pose[:3, 3] = self.turn @ [-7.5, 0, 0]  # cm
+        return pose.tolist()
+
+
+def test_oak_is_rectified_by_the_factorys_calibration():
+    cameras, calibration = devices.oak_cameras(Handler(), ("B", "C"), (640, 400))
+    assert calibration.baseline == pytest.approx(0.075)
+    assert calibration.size == (640, 400)
+    # A point in space comes to one row, at the disparity that its depth says.
+    point = np.array([0.3, -0.1, 2.0])
+    places = []
+    turned = Handler.turn @ (point - np.array([0.075, 0, 0]))
+    for camera, seen, rotation, projection in zip(
+        (cameras.left, cameras.right),
+        (point, turned),
+        cameras.rectification.rotations,
+        cameras.rectification.projections,
+        strict=True,
+    ):
+        raw, _ = cv2.projectPoints(
+            seen[None], np.zeros(3), np.zeros(3), camera.matrix, Handler.lens
+        )
+        places.append(
+            cv2.undistortPoints(raw, camera.matrix, Handler.lens, R=rotation, P=projection[:, :3])
+        )
+    (left, right) = (place.ravel() for place in places)
+    depth = (cameras.rectification.rotations[0] @ point)[2]
+    assert left[1] == pytest.approx(right[1], abs=0.01)
+    assert left[0] - right[0] == pytest.approx(calibration.focal * 0.075 / depth, abs=0.01)
+
+
+def test_oak_gives_rectified_pictures(monkeypatch, matcher, stopped):
+    views = dict(zip(("left", "right"), make_pair(9), strict=True))
+    group = {
+        name: SimpleNamespace(getCvFrame=lambda view=view: cv2.resize(view[..., 0], (640, 400)))
+        for name, view in views.items()
+    }
+    library = Anything(CameraBoardSocket=SimpleNamespace(CAM_B="B", CAM_C="C"))
+    library.Device = lambda: SimpleNamespace(readCalibration=Handler)
+    pipeline = Anything(stop=lambda: stopped.append(True), get=lambda: group)
+    library.Pipeline = lambda device: pipeline
+    monkeypatch.setitem(sys.modules, "depthai", library)
+    stream = open_stream("oak:")
+    frame = next(stream.frames)
+    stream.frames.close()
+    assert (frame.pair.width, frame.pair.height) == (640, 400)
+    assert stopped == [True]
+    assert stream.live
+
+
+@pytest.mark.parametrize("maker", ["realsense", "oak"])
+def test_a_camera_that_is_not_there(monkeypatch, maker):
+    def refuse(*arguments):
+        raise RuntimeError("No device connected")
+
+    library = SimpleNamespace(pipeline=refuse, config=Anything(), Device=refuse)
+    module = {"realsense": "pyrealsense2", "oak": "depthai"}[maker]
+    monkeypatch.setitem(sys.modules, module, library)
+    with pytest.raises(InputError, match=f"{maker}:: this camera .*: No device connected"):
+        open_stream(f"{maker}:")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf'pip install "mobilestereonet\[{maker}\]"'):
+        open_stream(f"{maker}:")
+    with pytest.raises(InputError, match="has both views: leave 1 out"):
+        open_stream(f"{maker}:", "1")
