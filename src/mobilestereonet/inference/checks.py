@@ -225,6 +225,6 @@ def _beyond(low: float, high: float, max_disparity: float) -> str:
     if factor >= MIN_SCALE:
         advice = f"match them smaller (--scale {factor:.2f}): disparities shrink, too"
     start = math.floor(low) - _SPARE_PX
-    if 0 < start and high < start + max_disparity - 1:
+    if start > 0 and high < start + max_disparity - 1:
         advice += f"; or let the search begin near {low:.0f} px (--shift {start})"
     return advice
