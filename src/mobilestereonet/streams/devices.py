@@ -7,16 +7,14 @@ from collections.abc import Callable, Generator, Sequence
 from itertools import count
 from typing import Any
 
-import cv2
 import numpy as np
 
 from mobilestereonet.data.images import Array
-from mobilestereonet.data.rig import Camera, CameraPair
-from mobilestereonet.data.rig.cameras import Rectification
+from mobilestereonet.data.rig import Camera, CameraPair, Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.inference import Rectifier
 from mobilestereonet.streams.overlap import latest_only
-from mobilestereonet.streams.rectified import Rectifier
 from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
 
 REALSENSE_SIZE = (848, 480)
@@ -105,21 +103,19 @@ def _open_oak(address: str) -> Stream:
         output = camera.requestOutput(OAK_SIZE, dai.ImgFrame.Type.GRAY8, fps=FRAMES_PER_SECOND)
         output.link(together.inputs[name])
     queue = together.out.createOutputQueue(maxSize=1, blocking=False)
-    cameras, calibration = oak_cameras(device.readCalibration(), sockets, OAK_SIZE)
-    rectify = Rectifier(cameras)
+    rectify = Rectifier(oak_rig(device.readCalibration(), sockets, OAK_SIZE))
     pipeline.start()
 
     def take() -> list[Array]:
         group = queue.get()
-        return rectify([group[name].getCvFrame() for name in ("left", "right")])
+        left, right, _ = rectify(group["left"].getCvFrame(), group["right"].getCvFrame())
+        return [left, right]
 
-    return _live(take, pipeline.stop, calibration)
+    return _live(take, pipeline.stop, rectify.calibration(OAK_SIZE))
 
 
-def oak_cameras(
-    handler: Any, sockets: Sequence[Any], size: tuple[int, int]
-) -> tuple[CameraPair, Calibration]:
-    """The raw cameras with their rectification, and the calibration of the rectified pictures.
+def oak_rig(handler: Any, sockets: Sequence[Any], size: tuple[int, int]) -> Rig:
+    """The rig of the raw cameras.
 
     Args:
         handler: ``dai.CalibrationHandler``; its translations are in centimetres.
@@ -134,27 +130,7 @@ def oak_cameras(
         for socket in sockets
     )
     pose = np.array(handler.getCameraExtrinsics(*sockets))
-    rotation, translation = pose[:3, :3], pose[:3, 3] / 100
-    r1, r2, p1, p2, *_ = map(
-        np.asarray,
-        cv2.stereoRectify(
-            left.matrix,
-            left.distortion,
-            right.matrix,
-            right.distortion,
-            size,
-            rotation,
-            translation[:, None],
-            flags=cv2.CALIB_ZERO_DISPARITY,
-            alpha=0,
-        ),
-    )
-    rectification = Rectification((r1, r2), (p1, p2))
-    cameras = CameraPair(left, right, rotation, translation, size, rectification)
-    focal, baseline = float(p2[0, 0]), float(-p2[0, 3] / p2[0, 0])
-    return cameras, Calibration(
-        focal=focal, baseline=baseline, cx=float(p1[0, 2]), cy=float(p1[1, 2]), size=size
-    )
+    return Rig((CameraPair(left, right, pose[:3, :3], pose[:3, 3] / 100, size),), "oak")
 
 
 def _live(
