@@ -154,7 +154,7 @@ def test_a_coarse_pass_is_a_pass_at_half_of_the_size():
 
 
 def test_a_cascade_is_a_coarse_pass_and_a_band_of_planes():
-    settings = {"hourglasses": 1, "coarse_hourglasses": 0, "band": 16}
+    settings = {"hourglasses": 1, "coarse_hourglasses": 1, "band": 16}
     cascade = count_costs("msnet3d-cascade", 64, 128, settings)["total"]
     whole = count_costs("msnet3d", 64, 128, {"hourglasses": 1, "coarse_pass": True})["total"]
     planes = {"hourglasses": 1, "max_disparity": 128}
@@ -162,7 +162,9 @@ def test_a_cascade_is_a_coarse_pass_and_a_band_of_planes():
     half_of_them = count_costs("msnet3d", 64, 128, {**planes, "max_disparity": 64})["total"]
     per_16_planes = all_planes.macs - half_of_them.macs + 27 * 32 * 16 * 16 * 32
     assert whole.macs - cascade.macs == pytest.approx(2 * per_16_planes, rel=0.03)
-    assert cascade.params == whole.params
+    parts = ("pre_hourglass", "hourglasses", "heads")
+    twice = count_costs("msnet3d", 64, 128, {"hourglasses": 1})
+    assert cascade.params == whole.params + sum(twice[part].params for part in parts)
 
 
 def test_a_network_stays_as_it_is():

@@ -86,9 +86,10 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
-@pytest.mark.parametrize(
-    "fields", [{"coarse_pass": True}, {"coarse_pass": True, "max_disparity": 64, "band": 8}]
-)
+CASCADE = {"coarse_pass": True, "coarse_hourglasses": 1, "max_disparity": 64, "band": 8}
+
+
+@pytest.mark.parametrize("fields", [{"coarse_pass": True}, CASCADE])
 @pytest.mark.parametrize("name", ["onnx", "openvino", "executorch", "litert"])
 def test_files_of_networks_with_a_coarse_pass(name, fields, tmp_path):
     format_ = needs(name)

@@ -247,6 +247,15 @@ def test_the_papers_loss():
     assert net.training_loss(outputs, disparity, mask & False) == 0
 
 
+CASCADE = {
+    "dims": 3,
+    "cost_volume": "correlation",
+    "coarse_pass": True,
+    "coarse_hourglasses": 1,
+    "band": 16,
+}
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -262,9 +271,11 @@ def test_the_papers_loss():
         ({"max_disparity": 528}, "got 528"),
         ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
         ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
-        ({"dims": 3, "band": 16}, "band must be 0.* got 16 with coarse_pass=False"),
-        ({"dims": 3, "coarse_pass": True, "band": 10, "cost_volume": "correlation"}, "got 10"),
-        ({"dims": 3, "coarse_pass": True, "band": 16}, "correlation volume, got .*interlaced-4"),
+        ({"dims": 3, "band": 16}, "band must be 0.* got 16 with interlaced-4 and 0"),
+        ({**CASCADE, "band": 10}, "got 10 with correlation and 1"),
+        ({**CASCADE, "coarse_hourglasses": 0}, "got 16 with correlation and 0"),
+        ({**CASCADE, "cost_volume": "interlaced-4"}, "got 16 with interlaced-4 and 1"),
+        ({"dims": 3, "coarse_hourglasses": 1}, "in a network with coarse_pass, got 1"),
         ({"cost_volume": "groupwise", "groups": 7}, "groups must divide the 32 channels"),
         ({"channel_reduction": False}, "set channel_reduction=True"),
     ],
@@ -304,16 +315,17 @@ def test_coarse_pass():
         half = build_model("msnet3d", max_disparity=32, hourglasses=1).eval()
         half.load_state_dict(state)
         told = guidance_from_scores(half.scores(*halves))
-        torch.testing.assert_close(net.guidance(*views), (told, None), rtol=0, atol=1e-5)
+        coarse = guidance_from_scores(net.coarse_scores(*views)[-1])
+        torch.testing.assert_close(coarse, told, rtol=0, atol=1e-5)
         planes = net.config.planes
         expected = net.aggregate(net.cost_volume(*views, planes), told)[-1]
         torch.testing.assert_close(net.scores(*views), expected, rtol=0, atol=1e-4)
         assert (expected - plain.scores(*views)).abs().max() > 0.1
     net.train().features.eval()  # frozen for fine-tuning
-    net.guidance(*views)
+    assert len(net.coarse_scores(*views)) == 1
     assert net.training and net.pre_hourglass.training and not net.features.training
     net.set_step(4)
-    assert not net.guidance(*views)[0].any()
+    assert not net.coarse_scores(*views)
     with pytest.raises(InputError, match="multiples of 32, got 48 x 128"):
         net(*views[..., :48, :])
 
@@ -363,6 +375,7 @@ def test_the_volume_of_a_band_is_part_of_the_whole():
 def test_a_band_of_all_planes_changes_nothing():
     torch.manual_seed(0)
     config = {"max_disparity": 64, "hourglasses": 1, "coarse_pass": True}
+    config["coarse_hourglasses"] = 1
     whole, cascade = (
         build_model("msnet3d", **config, band=band).double().eval() for band in (0, 16)
     )
@@ -377,18 +390,42 @@ def test_a_band_of_all_planes_changes_nothing():
     assert ((scores == lowest).sum(dim=1) == 8).all()  # the eight planes outside
 
 
-def test_an_unguided_step_of_a_cascade_is_its_coarse_pass():
+def test_a_cascade_learns_both_of_its_passes():
     net = build_model("msnet3d-cascade", max_disparity=128)
     views = torch.randn(2, 1, 3, 32, 160)
-    net.set_step(4)
-    outputs = net.outputs(*views)
-    assert outputs.volume.shape == (1, 40, 16, 4, 20)
-    assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
-    assert outputs.disparity.shape == (1, 32, 160)
-    net.set_step(5)
     outputs = net.outputs(*views)
     assert outputs.volume.shape == (1, 40, 12, 8, 40)
     assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
+    assert [scores.shape for scores in outputs.coarse.scores] == 2 * [(1, 32, 8, 40)]
+    disparity = torch.zeros(1, 32, 160)
+    start = outputs.band.start
+    # Planes lie at 1.5 px, 5.5 px, and so on.
+    for plane, inside in ((-1, False), (0, True), (11, True), (12, False)):
+        disparity[:, 2::4, 2::4] = 4 * (start + plane) + 1.5
+        assert (outputs.searched(disparity)[:, 2::4, 2::4] == inside).all()
+    assert outputs.coarse.searched(disparity).all()
+    # Only the coarse pass learns from a disparity that is not in the band.
+    far = (4.0 * (start + 20)).repeat_interleave(4, 1).repeat_interleave(4, 2)
+    net.training_loss(outputs, far, torch.ones_like(far, dtype=torch.bool)).backward()
+    assert net.coarse.heads[1].score.weight.grad.any()
+    assert not net.heads[2].score.weight.grad.any()
+
+
+def test_the_coarse_pass_of_a_cascade_starts_as_the_fine_one():
+    torch.manual_seed(0)
+    whole = build_model("msnet3d", max_disparity=64, coarse_pass=True).eval()
+    cascade = build_model("msnet3d-cascade", max_disparity=64).eval()
+    state = cascade.state_of_config(cascade.config, whole.state_dict())
+    cascade.load_state_dict(state)
+    views = torch.randn(2, 1, 3, 64, 128)
+    head = whole.heads[1]
+    assert cascade.coarse.heads[1].score.weight.equal(head.score.weight)
+    assert cascade.coarse.hourglasses[0].up6[0].weight.equal(whole.hourglasses[0].up6[0].weight)
+    assert len(cascade.coarse_scores(*views)) == 1
+    # Trained weights stay as they are.
+    assert cascade.state_of_config(cascade.config, state).keys() == state.keys()
+    shared = cascade.state_of_config(whole.config, state)
+    assert not any(name.startswith("coarse.") for name in shared)
 
 
 def test_a_network_cut_after_its_first_hourglass():

@@ -173,8 +173,10 @@ class ExportableMobileStereoNet(ExportableNet):
         self.pre_hourglass = net.pre_hourglass
         self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
         if net.config.coarse_pass:
-            count = net.config.coarse_hourglasses or net.config.hourglasses
-            self.coarse_aggregation = nn.Sequential(*net.hourglasses[:count], net.heads[count])
+            coarse = net.coarse_part
+            self.coarse_aggregation = nn.Sequential(
+                coarse.pre_hourglass, *coarse.hourglasses, coarse.heads[-1]
+            )
             self.guide = nn.Sequential(guide_convolution(net.guide))
         if self.conv3d_as_2d:
             slice_layers(self)
@@ -218,10 +220,10 @@ class ExportableMobileStereoNet(ExportableNet):
                 guidance = None if guidance is None else guidance.unsqueeze(1)
             elif len(volume) > 1:
                 volume = torch.cat(volume.split(1), dim=1)
-        x = self.pre_hourglass(volume)
         if guidance is None and self.config.coarse_pass:
-            scores: Tensor = self.coarse_aggregation(x)
+            scores: Tensor = self.coarse_aggregation(volume)
         else:
+            x = self.pre_hourglass(volume)
             scores = self.aggregation(x if guidance is None else x + self.guide(guidance))
         return scores.unsqueeze(0) if scores.ndim == 3 else scores
 

@@ -82,8 +82,9 @@ def images_one_by_one(net: MobileStereoNet) -> None:
 
 def drop_training_heads(net: MobileStereoNet) -> None:
     """Replace the heads that only training calls by identities."""
-    for index in set(range(net.config.hourglasses)) - {net.config.coarse_hourglasses or None}:
-        net.heads[index] = nn.Identity()
+    for part in {net, net.coarse_part}:
+        for index in range(len(part.hourglasses)):
+            part.heads[index] = nn.Identity()
 
 
 def volume_by_planes(net: MobileStereoNet) -> None:
@@ -112,10 +113,9 @@ def columns_first(net: MobileStereoNet) -> None:
     for module in net.modules():
         if isinstance(module, nn.Conv3d | nn.ConvTranspose3d):
             module.weight = nn.Parameter(module.weight.movedim(-1, 2), requires_grad=False)
-    net.add_module("pre_hourglass", nn.Sequential(MoveAxis(-1, 2), net.pre_hourglass))
-    for index, head in enumerate(net.heads):
-        if not isinstance(head, nn.Identity):
-            net.heads[index] = nn.Sequential(head, MoveAxis(1, -1))
+    for part in {net, net.coarse_part}:
+        part.pre_hourglass = nn.Sequential(MoveAxis(-1, 2), part.pre_hourglass)
+        part.heads[-1] = nn.Sequential(part.heads[-1], MoveAxis(1, -1))
     if net.config.coarse_pass:
         net.add_module("guide", ColumnGuide(net.guide))
 

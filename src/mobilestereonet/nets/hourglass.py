@@ -95,3 +95,43 @@ class Head(nn.Module):
         """(B, width, H, W) or (B, width, D, H, W) -> scores (B, D, H, W)."""
         scores = cast(Tensor, self.score(self.conv(x)))
         return scores.squeeze(1) if self.dims == 3 else scores
+
+
+class Aggregation:
+    """What a pre-hourglass, hourglasses and heads compute: mixin of modules that have them."""
+
+    training: bool
+    pre_hourglass: nn.Module
+    hourglasses: nn.ModuleList
+    heads: nn.ModuleList
+    guide: nn.Module
+
+    def aggregate(self, volume: Tensor, guidance: Tensor | None = None) -> list[Tensor]:
+        """Matching scores of a cost volume.
+
+        Args:
+            volume: (B, C, D, H / 4, W / 4); for 2D networks (B, C D, H / 4, W / 4).
+            guidance: (B, D, H / 4, W / 4), see `nets.coarse_pass`; None or zeros: none.
+
+        Returns:
+            One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
+        """
+        x = self.pre_hourglass(volume)
+        if guidance is not None:
+            x = self.guide(x, guidance)
+        scores = []
+        for hourglass, head in zip(self.hourglasses, self.heads, strict=False):
+            if self.training:
+                scores.append(cast(Tensor, head(x)))
+            x = hourglass(x)
+        return [*scores, cast(Tensor, self.heads[-1](x))]
+
+
+class EncoderDecoder(Aggregation, nn.Module):
+    """Pre-hourglass, hourglasses and heads of a coarse pass that has weights of its own."""
+
+    def __init__(self, config: NetConfig, inputs: int, hourglasses: int) -> None:
+        super().__init__()
+        self.pre_hourglass = PreHourglass(config, inputs)
+        self.hourglasses = nn.ModuleList(Hourglass(config) for _ in range(hourglasses))
+        self.heads = nn.ModuleList(Head(config) for _ in range(hourglasses + 1))

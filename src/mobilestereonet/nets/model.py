@@ -19,6 +19,10 @@ MIN_STD = 1e-6
 """Standard deviation of a view, in the unit of its values, below which it counts as constant."""
 
 
+COARSE_WEIGHT = 0.5
+"""Weight of a coarse pass's loss beside that of the fine pass (Gu et al., CVPR 2020: 0.5 to 1)."""
+
+
 @dataclass(frozen=True)
 class Preprocessing:
     """How RGB views become a network's input: ``(scale * view - mean) / std`` per channel.
@@ -188,6 +192,18 @@ class StereoModel(nn.Module):
             )
 
 
+class Band(NamedTuple):
+    """Which planes of a cost volume were searched at each pixel.
+
+    Attributes:
+        start: First plane, (B, H / s, W / s) int64.
+        planes: Number of planes.
+    """
+
+    start: Tensor
+    planes: int
+
+
 class VolumeOutputs:
     """What a `VolumeModel` computes: scores per head, and disparities where they are asked for.
 
@@ -197,18 +213,55 @@ class VolumeOutputs:
         volume: The cost volume (B, C, N, H / s, W / s) of the planes that were compared, all D or
             fewer; None from networks that do not give it.
         regression: From scores to disparity.
+        band: The planes that were searched; None: all.
+        coarse: What a coarse pass computed that the same loss trains; None: there is none.
     """
 
-    def __init__(self, scores: list[Tensor], volume: Tensor | None, regression: SoftArgmax) -> None:
+    def __init__(
+        self,
+        scores: list[Tensor],
+        volume: Tensor | None,
+        regression: SoftArgmax,
+        band: Band | None = None,
+        coarse: VolumeOutputs | None = None,
+    ) -> None:
         self.scores = scores
         self.volume = volume
         self.regression = regression
+        self.band = band
+        self.coarse = coarse
 
     def last(self, count: int) -> VolumeOutputs:
         """The outputs of the last ``count`` heads."""
         if count >= len(self.scores):
             return self
-        return VolumeOutputs(self.scores[-count:], self.volume, self.regression)
+        coarse = None if self.coarse is None else self.coarse.last(count)
+        return VolumeOutputs(self.scores[-count:], self.volume, self.regression, self.band, coarse)
+
+    def searched(self, disparity: Tensor) -> Tensor:
+        """Pixels whose ground truth lies within the planes that were searched.
+
+        From the others nothing can be learnt: whatever the scores say, the answer is wrong.
+
+        Args:
+            disparity: Ground truth (B, H, W), in pixels.
+
+        Returns:
+            (B, H, W) bool.
+        """
+        if self.band is None:
+            return torch.ones_like(disparity, dtype=torch.bool)
+        scale = self.regression.scale
+        start = self.band.start.repeat_interleave(scale, 1).repeat_interleave(scale, 2)
+        # Plane k lies at the disparity s k + (s - 1) / 2.
+        plane = (disparity - (scale - 1) / 2) / scale
+        return (plane >= start) & (plane <= start + self.band.planes - 1)
+
+    @property
+    def passes(self) -> list[tuple[float, VolumeOutputs]]:
+        """What a loss trains, each with its weight: these outputs, and those of a coarse pass."""
+        own = (1.0, self)
+        return [own] if self.coarse is None else [own, (COARSE_WEIGHT, self.coarse)]
 
     @cached_property
     def disparities(self) -> list[Tensor]:
@@ -262,9 +315,21 @@ class VolumeModel(StereoModel):
         return weights[-len(heads) :]
 
     def training_loss(self, outputs: VolumeOutputs, disparity: Tensor, valid: Tensor) -> Tensor:
-        """Smooth L1 of the heads' expected disparities, weighted; see `StereoModel`."""
-        weights = self.weights_of(outputs.scores)
-        return smooth_l1_of_heads(outputs.disparities, weights, disparity, valid)
+        """Smooth L1 of the heads' expected disparities, weighted; see `StereoModel`.
+
+        Of each pass's pixels whose disparity was searched (`VolumeOutputs.searched`).
+        """
+        losses = [
+            weight
+            * smooth_l1_of_heads(
+                part.disparities,
+                self.weights_of(part.scores),
+                disparity,
+                valid & part.searched(disparity),
+            )
+            for weight, part in outputs.passes
+        ]
+        return torch.stack(losses).sum()
 
 
 def smooth_l1_of_heads(

@@ -27,21 +27,24 @@ from mobilestereonet.nets.coarse_pass import (
 )
 from mobilestereonet.nets.cost_volumes import Correlation, CostVolume, LearnedVolume
 from mobilestereonet.nets.features import FeatureExtraction, ResidualBlock, channel_reduction
-from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
-from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
+from mobilestereonet.nets.hourglass import (
+    Aggregation,
+    EncoderDecoder,
+    Head,
+    Hourglass,
+    PreHourglass,
+)
+from mobilestereonet.nets.model import Band, VolumeModel, VolumeOutputs
 from mobilestereonet.nets.msnet_config import NetConfig
 from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
 UNGUIDED_STEPS = 4
-"""Every n-th training step runs unguided, so that the network also learns the coarse pass.
-
-That of a cascade is the coarse pass itself, on views of half the size.
-"""
+"""Every n-th training step runs unguided, so that the network also learns the coarse pass."""
 
 
-class MobileStereoNet(VolumeModel):
+class MobileStereoNet(Aggregation, VolumeModel):
     """Stereo matching network (the paper's Fig. 4), assembled from a config."""
 
     config: NetConfig
@@ -65,6 +68,9 @@ class MobileStereoNet(VolumeModel):
         initialise(self)
         if config.coarse_pass:
             self.guide = Guide(config.width)
+        if config.coarse_hourglasses:
+            self.coarse = EncoderDecoder(config, config.volume_channels, config.coarse_hourglasses)
+            initialise(self.coarse)
         self._guided = True
 
     @classmethod
@@ -76,29 +82,45 @@ class MobileStereoNet(VolumeModel):
 
     @classmethod
     def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Without the last hourglasses it ends in the head before them; see `StereoModel`."""
-        kept = {"heads": config.hourglasses + 1, "hourglasses": config.hourglasses}
-        parts = {name: name.split(".") for name in state}
-        return {
-            name: value
-            for name, value in state.items()
-            if parts[name][0] not in kept or int(parts[name][1]) < kept[parts[name][0]]
-        }
+        """Fewer hourglasses, or a coarse pass that starts as the fine one; see `StereoModel`.
+
+        Without the last hourglasses the network ends in the head before them.
+        """
+        coarse = {name: value for name, value in state.items() if name.startswith("coarse.")}
+        fine = {name: value for name, value in state.items() if name not in coarse}
+        if config.coarse_hourglasses and not coarse:
+            first = _first_hourglasses(fine, config.coarse_hourglasses)
+            parts = ("pre_hourglass.", "hourglasses.", "heads.")
+            coarse = {
+                f"coarse.{name}": value for name, value in first.items() if name.startswith(parts)
+            }
+        kept = coarse if config.coarse_hourglasses else {}
+        return _first_hourglasses(fine, config.hourglasses) | kept
 
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""
         self.check_views(left, right)
         planes, band = self.config.planes, self.config.band_planes
-        if band and self.training and not self._guided:
-            volume = self.cost_volume(halve(left), halve(right), planes // 2)
-            scores = [upsample_coarse(scores) for scores in self.aggregate(volume)]
-            return VolumeOutputs(scores, volume, self.regression)
-        guidance, start = self.guidance(left, right)
+        coarse = self.coarse_scores(left, right)
+        guidance = start = None
+        if coarse:
+            guidance = guidance_from_scores(coarse[-1].detach())
+        elif self.config.coarse_pass:  # unguided: zeros, so that ``guide`` has a gradient
+            batch, _, height, width = left.shape
+            guidance = left.new_zeros(batch, planes, height // 4, width // 4)
+        if band and guidance is not None:
+            start = band_start(coarse[-1].detach(), band)
+            guidance = cut_band(guidance, start, band)
         volume = self.cost_volume(left, right, planes if start is None else band, start)
-        scores = self.aggregate(volume, guidance)
+        scores = self.aggregate(volume.flatten(1, 2) if self.config.dims == 2 else volume, guidance)
+        outputs = VolumeOutputs(scores, volume, self.regression)
         if start is not None:
-            scores = [spread_band(each, start, planes) for each in scores]
-        return VolumeOutputs(scores, volume, self.regression)
+            outputs.scores = [spread_band(each, start, planes) for each in scores]
+            outputs.band = Band(start, band)
+        if self.training and self.config.coarse_hourglasses:
+            upsampled = [upsample_coarse(each) for each in coarse]
+            outputs.coarse = VolumeOutputs(upsampled, None, self.regression)
+        return outputs
 
     def cost_volume(
         self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
@@ -121,62 +143,36 @@ class MobileStereoNet(VolumeModel):
         """Features of both views, (B, C, H / 4, W / 4) each, as the cost volume takes them."""
         return [self.reduction(self.features(view)) for view in (left, right)]
 
-    def aggregate(
-        self, volume: Tensor, guidance: Tensor | None = None, hourglasses: int | None = None
-    ) -> list[Tensor]:
-        """Encoder-decoder and heads: matching scores of a cost volume.
+    @property
+    def coarse_part(self) -> Aggregation:
+        """The encoder-decoder of the coarse pass: its own, or the network's."""
+        return self.coarse if self.config.coarse_hourglasses else self
 
-        Args:
-            volume: (B, C, D, H / 4, W / 4).
-            guidance: (B, D, H / 4, W / 4), see `guidance`; None or zeros: none.
-            hourglasses: Number of those that it goes through; None: all.
+    def coarse_scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
+        """What the coarse pass says (see `nets.coarse_pass`).
 
-        Returns:
-            One (B, D, H / 4, W / 4) per head in training mode, the last one's alone in eval mode.
-        """
-        x = self.pre_hourglass(volume.flatten(1, 2) if self.config.dims == 2 else volume)
-        if guidance is not None:
-            x = self.guide(x, guidance)
-        scores = []
-        for index, hourglass in enumerate(self.hourglasses[:hourglasses]):
-            if self.training:
-                scores.append(cast(Tensor, self.heads[index](x)))
-            x = hourglass(x)
-        last = self.heads[-1 if hourglasses is None else hourglasses]
-        return [*scores, cast(Tensor, last(x))]
-
-    @torch.no_grad()
-    def guidance(self, left: Tensor, right: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        """What a coarse pass, in eval mode, tells the fine one (see `nets.coarse_pass`).
+        With weights of its own it learns in the same steps as the fine pass. With those of the
+        fine pass it is in eval mode, and has no gradient; unguided steps teach it.
 
         Args:
             left: Left views (B, 3, H, W), preprocessed.
             right: Right views, likewise.
 
         Returns:
-            Guidance (B, D, H / 4, W / 4) on the planes of the fine pass: zeros in an unguided
-            training step (so that ``guide`` has a gradient in every step), None from a network
-            without a coarse pass. And the first plane of each pixel's band, (B, H / 4, W / 4);
-            None where all planes are searched.
+            Scores (B, D / 2, H / 8, W / 8): of all heads where it learns, else the last one's
+            alone; none in unguided training steps, and from a network without a coarse pass.
         """
-        if not self.config.coarse_pass:
-            return None, None
-        planes, band = self.config.planes, self.config.band_planes
-        if self.training and not self._guided:
-            batch, _, height, width = left.shape
-            return left.new_zeros(batch, planes, height // 4, width // 4), None
-        with eval_mode(self):
-            volume = self.cost_volume(halve(left), halve(right), planes // 2)
-            scores = self.aggregate(volume, None, self.config.coarse_hourglasses or None)[-1]
-        guidance = guidance_from_scores(scores)
-        if not band:
-            return guidance, None
-        start = band_start(scores, band)
-        return cut_band(guidance, start, band), start
+        if not self.config.coarse_pass or (self.training and not self._guided):
+            return []
+        size = (halve(left), halve(right), self.config.planes // 2)
+        if self.config.coarse_hourglasses:
+            return self.coarse.aggregate(self.cost_volume(*size))
+        with torch.no_grad(), eval_mode(self):
+            return self.aggregate(self.cost_volume(*size))
 
     def set_step(self, step: int) -> None:
-        """Every fourth training step is without guidance."""
-        self._guided = step % UNGUIDED_STEPS != 0
+        """Every fourth training step is without guidance, where both passes share weights."""
+        self._guided = step % UNGUIDED_STEPS != 0 or self.config.coarse_hourglasses > 0
 
     def zero_residuals(self) -> None:
         """Start every residual branch at zero: the last batch norm's scale in each.
@@ -189,6 +185,17 @@ class MobileStereoNet(VolumeModel):
                 nn.init.zeros_(cast(nn.BatchNorm2d, module.conv2[-1]).weight)
             elif isinstance(module, V2Block) and module.skip:
                 nn.init.zeros_(cast(nn.BatchNorm2d, module.conv[-1]).weight)
+
+
+def _first_hourglasses(state: dict[str, Tensor], count: int) -> dict[str, Tensor]:
+    """The tensors of a network that ends after so many hourglasses."""
+    kept = {"heads": count + 1, "hourglasses": count}
+    parts = {name: name.split(".") for name in state}
+    return {
+        name: value
+        for name, value in state.items()
+        if parts[name][0] not in kept or int(parts[name][1]) < kept[parts[name][0]]
+    }
 
 
 MSNET2D = NetConfig(dims=2)

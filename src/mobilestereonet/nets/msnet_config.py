@@ -48,10 +48,10 @@ class NetConfig:
             sharp edges (see `nets.soft_argmax`). In training every head takes the mean.
         coarse_pass: A first pass at half of the size guides the second (see `nets.coarse_pass`):
             for large surfaces without texture. Not in the paper; 3D alone.
-        coarse_hourglasses: Hourglasses of the first pass, whose scores are those of the head after
-            them; 0: all.
+        coarse_hourglasses: Hourglasses of an encoder-decoder of the first pass alone; 0: it has
+            the weights of the second one.
         band: Planes that the second pass searches around each pixel's answer of the first, a
-            multiple of 4 from 8 on; 0: all. For correlation volumes with a coarse pass.
+            multiple of 4 from 8 on; 0: all. For correlation volumes, with ``coarse_hourglasses``.
     """
 
     dims: Literal[2, 3]
@@ -113,18 +113,21 @@ class NetConfig:
                 "coarse_pass needs dims=3 and max_disparity a multiple of 32, "
                 f"got dims={self.dims} and {self.max_disparity}"
             )
-        if not 0 <= self.coarse_hourglasses <= self.hourglasses:
+        if self.coarse_hourglasses < 0 or (self.coarse_hourglasses and not self.coarse_pass):
             raise InputError(
-                f"coarse_hourglasses must be in 0..{self.hourglasses}, the number of hourglasses, "
+                "coarse_hourglasses must be 0, or at least 1 in a network with coarse_pass, "
                 f"got {self.coarse_hourglasses}"
             )
         if self.band and (
-            not self.coarse_pass or self.learns_volume or self.band % BAND_STEP or self.band < 8
+            not self.coarse_hourglasses
+            or self.learns_volume
+            or self.band % BAND_STEP
+            or self.band < 8
         ):
             raise InputError(
-                "band must be 0, or a multiple of 4 from 8 on in a network with coarse_pass and a "
-                f"correlation volume, got {self.band} with coarse_pass={self.coarse_pass} and "
-                f"{self.cost_volume}"
+                "band must be 0, or a multiple of 4 from 8 on in a network with a correlation "
+                f"volume and coarse_hourglasses from 1 on, got {self.band} with "
+                f"{self.cost_volume} and {self.coarse_hourglasses}"
             )
         if self.cost_volume == "groupwise" and self.volume_input % self.groups:
             raise InputError(

@@ -132,8 +132,10 @@ class Objective:
         figures: dict[str, Tensor] = {}
         scale = net.regression.scale
         if self.recipe.cross_entropy:
-            loss = self._cross_entropy(net, outputs.scores, disparity, mask)
-            total = total + self.recipe.cross_entropy * loss
+            for weight, part in outputs.passes:
+                searched = mask & part.searched(disparity)
+                loss = self._cross_entropy(net, part.scores, disparity, searched)
+                total = total + weight * self.recipe.cross_entropy * loss
         volume = outputs.volume
         if self.recipe.volume_cross_entropy and volume is not None and volume.shape[1] == 1:
             loss = volume_loss_sum(volume, disparity, mask, scale=scale)
