@@ -223,3 +223,14 @@ def test_volume_loss_by_hand():
     for disparity, expected in ((4.0, log_p[1]), (6.0, (log_p[1] + log_p[2]) / 2)):
         loss = volume_loss_sum(volume, torch.full((1, 4, 4), disparity), mask)
         assert loss.item() == pytest.approx(-16 * expected.item(), rel=1e-5)
+
+
+def test_frozen_parts_stay_as_they_are():
+    module, recorder = _fit([_batch(0), _batch(1)], replace(RECIPE, frozen=("features",)))
+    before = StereoModule(RECIPE, 2, 1).net.state_dict()
+    after = recorder.states[-1][0]
+    changed = {name for name, value in after.items() if not value.equal(before[name])}
+    assert not any(name.startswith("features.") for name in changed)
+    assert {"heads.1.score.weight", "hourglasses.0.up6.1.running_mean"} <= changed
+    with pytest.raises(InputError, match="frozen names 'heads.9', which table3a-v1-v1 does not"):
+        _fit([_batch(0)], replace(RECIPE, frozen=("heads.9",)))

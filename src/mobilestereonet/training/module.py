@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import torch
 import torch.distributed as dist
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.utils import (
     convert_conv2d_weight_memory_format,
     convert_conv3d_weight_memory_format,
@@ -57,6 +57,7 @@ class StereoModule(L.LightningModule):
         self, recipe: Recipe, steps: int, global_batch: int, clock: Clock | None = None
     ) -> None:
         super().__init__()
+        self.recipe = recipe
         torch.manual_seed(recipe.seed)
         self.net = build_model(recipe.model, **recipe.net)
         if recipe.zero_residuals:
@@ -64,13 +65,14 @@ class StereoModule(L.LightningModule):
                 self.net.zero_residuals()
             except InputError as error:
                 raise InputError(f"recipe: {error}: --set zero_residuals=false") from None
+        for part in self._frozen_parts(self.net):
+            part.requires_grad_(False)
         # As the accelerated form has them; a moving average is copied before that is made.
         convert_conv2d_weight_memory_format(self.net, torch.channels_last)
         convert_conv3d_weight_memory_format(self.net, torch.channels_last_3d)
         self.objective = Objective(recipe, self.net)
         self.teacher = None if recipe.teacher is None else Teacher(recipe.teacher, self.net)
         self.val_metrics = StereoMetrics(self.net.max_disparity)
-        self.recipe = recipe
         self.steps = steps
         self.clock = clock
         self.lr = recipe.lr * global_batch / recipe.lr_batch
@@ -108,8 +110,23 @@ class StereoModule(L.LightningModule):
 
     def on_fit_start(self) -> None:
         """Make the accelerated form, once the network is on its device."""
-        fast = accelerate(self.net, "training")
-        self._accelerated = (fast.train(),)
+        fast = accelerate(self.net, "training").train()
+        for part in self._frozen_parts(fast):
+            part.eval()
+        self._accelerated = (fast,)
+
+    def _frozen_parts(self, net: StereoModel) -> list[nn.Module]:
+        parts = []
+        for name in self.recipe.frozen:
+            try:
+                parts.append(net.get_submodule(name))
+            except AttributeError:
+                names = ", ".join(name for name, _ in net.named_children())
+                raise InputError(
+                    f"recipe: frozen names {name!r}, which {self.recipe.model} does not have; it "
+                    f"has {names}"
+                ) from None
+        return parts
 
     def on_fit_end(self) -> None:
         """Let the accelerated form go."""

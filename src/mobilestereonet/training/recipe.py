@@ -101,6 +101,8 @@ class Recipe:
         distil: Weight of what the teacher says, against the ground truth's 1.
         zero_residuals: Start the residual branches of fresh weights at zero, in networks that
             have such a method; the paper does not.
+        frozen: Parts of the network that keep their weights and batch norm statistics, by the
+            names of their modules, such as "features".
         seed: Seed of the fresh weights, the order of the data and the augmentation.
     """
 
@@ -138,6 +140,7 @@ class Recipe:
     zero_residuals: bool = False
     teacher: str | None = None
     distil: float = 1.0
+    frozen: tuple[str, ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
