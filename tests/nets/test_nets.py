@@ -272,7 +272,7 @@ CASCADE = {
         ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
         ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
         ({"dims": 3, "band": 16}, "band must be 0.* got 16 with interlaced-4 and 0"),
-        ({**CASCADE, "band": 10}, "got 10 with correlation and 1"),
+        ({**CASCADE, "band": 12}, "got 12 with correlation and 1"),
         ({**CASCADE, "coarse_hourglasses": 0}, "got 16 with correlation and 0"),
         ({**CASCADE, "cost_volume": "interlaced-4"}, "got 16 with interlaced-4 and 1"),
         ({"dims": 3, "coarse_hourglasses": 1}, "in a network with coarse_pass, got 1"),
@@ -331,19 +331,23 @@ def test_coarse_pass():
 
 
 def test_bands_lie_around_the_likeliest_disparities():
-    scores = torch.zeros(1, 24, 2, 3)
-    scores[0, 9, 0] = 100  # planes 18 and 19 of the fine pass
-    scores[0, 0, 1] = 100  # planes 0 and 1
+    scores = torch.zeros(1, 24, 6, 3)
+    scores[0, 9, :3] = 100  # planes 18 and 19 of the fine pass
+    scores[0, 0, 3:] = 100  # planes 0 and 1
     start = band_start(scores, 16)
-    assert start.shape == (1, 4, 6) and start.dtype == torch.int64
-    # Of 8..23 and 12..27 the first has them nearest to its middle, 15 and 16.
-    assert (start[:, 0] == 12).all() or (start[:, 0] == 8).all()
-    assert (start[:, 3] == 0).all()
-    scores[0, 9, 0], scores[0, 23, 0] = 0, 100  # planes 46 and 47, the last ones
-    assert (band_start(scores, 16)[:, 0] == 48 - 16).all()
+    assert start.shape == (1, 12, 6) and start.dtype == torch.int64
+    # Of 8..23 and 16..31 the first has them nearer to its middle.
+    assert (start[:, :4] == 8).all()
+    assert (start[:, 8:] == 0).all()
+    scores[0, 9, :3], scores[0, 23, :3] = 0, 100  # planes 46 and 47, the last ones
+    assert (band_start(scores, 16)[:, :4] == 48 - 16).all()
     # Of two modes with the same probability it can hold one.
-    scores[0, 2, 0] = 100
+    scores[0, 2, :3] = 100
     assert set(band_start(scores, 16)[0, 0].tolist()) <= {0, 32}
+    # A pixel alone follows its neighbours.
+    scores = torch.zeros(1, 24, 3, 3)
+    scores[0, 9], scores[0, 9, 1, 1], scores[0, 0, 1, 1] = 100, 0, 100
+    assert (band_start(scores, 16) == 8).all()
 
 
 def test_bands_are_cut_from_all_planes_and_spread_to_them():
@@ -394,13 +398,13 @@ def test_a_cascade_learns_both_of_its_passes():
     net = build_model("msnet3d-cascade", max_disparity=128)
     views = torch.randn(2, 1, 3, 32, 160)
     outputs = net.outputs(*views)
-    assert outputs.volume.shape == (1, 40, 12, 8, 40)
+    assert outputs.volume.shape == (1, 40, 16, 8, 40)
     assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
     assert [scores.shape for scores in outputs.coarse.scores] == 2 * [(1, 32, 8, 40)]
     disparity = torch.zeros(1, 32, 160)
     start = outputs.band.start
     # Planes lie at 1.5 px, 5.5 px, and so on.
-    for plane, inside in ((-1, False), (0, True), (11, True), (12, False)):
+    for plane, inside in ((-1, False), (0, True), (15, True), (16, False)):
         disparity[:, 2::4, 2::4] = 4 * (start + plane) + 1.5
         assert (outputs.searched(disparity)[:, 2::4, 2::4] == inside).all()
     assert outputs.coarse.searched(disparity).all()

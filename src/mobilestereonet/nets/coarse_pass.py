@@ -19,8 +19,15 @@ from torch import Tensor, nn
 MIN_LOG_PROBABILITY = -8.0
 """Logarithm of a probability at which, and below which, guidance is 0."""
 
-BAND_STEP = 4
-"""Bands start at multiples of so many planes: what the hourglasses reduce two times by 2."""
+BAND_STEP = 8
+"""Bands start at multiples of so many planes, so that most neighbours share theirs.
+
+A convolution takes the i-th plane of a pixel's band with the i-th of its neighbours'. With steps of
+4 planes, which is what the hourglasses reduce to one, more pixels are wrong.
+"""
+
+BAND_WINDOW = 3
+"""Pixels of the coarse pass, in height and width, that choose a band together."""
 
 OUTSIDE_BAND = -2.0
 """Score of planes outside of a pixel's band, relative to the lowest inside."""
@@ -62,20 +69,21 @@ def band_start(scores: Tensor, planes: int) -> Tensor:
     """Where the band of each pixel starts: around the likeliest disparities of the coarse pass.
 
     Of all bands the one that holds most of the probability, weighted by half a sine wave with its
-    peak in the band's centre.
+    peak in the band's centre, on the mean over 3 x 3 pixels of the coarse pass.
 
     Args:
         scores: Scores of the coarse pass, (B, D / 2, H / 8, W / 8).
-        planes: Planes of a band, a multiple of 4 up to D.
+        planes: Planes of a band, a multiple of 8 up to D.
 
     Returns:
-        First planes, (B, H / 4, W / 4) int64, multiples of 4 in 0 .. D - planes.
+        First planes, (B, H / 4, W / 4) int64, multiples of 8 in 0 .. D - planes.
     """
     dtype = torch.promote_types(scores.dtype, torch.float32)
     weights = band_weights(2 * scores.shape[1], planes).to(scores.device, dtype)
     # A plane of the coarse pass counts as the two that it covers.
     weights = F.interpolate(weights[:, None], scale_factor=0.5, mode="linear")[:, 0]
     bands = F.conv2d(scores.to(dtype).softmax(dim=1), weights[..., None, None])
+    bands = F.avg_pool2d(bands, BAND_WINDOW, 1, BAND_WINDOW // 2, count_include_pad=False)
     bands = F.interpolate(bands, scale_factor=2.0, mode="bilinear", align_corners=False)
     return BAND_STEP * bands.argmax(dim=1)
 

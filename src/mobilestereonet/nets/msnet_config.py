@@ -51,7 +51,7 @@ class NetConfig:
         coarse_hourglasses: Hourglasses of an encoder-decoder of the first pass alone; 0: it has
             the weights of the second one.
         band: Planes that the second pass searches around each pixel's answer of the first, a
-            multiple of 4 from 8 on; 0: all. For correlation volumes, with ``coarse_hourglasses``.
+            multiple of 8; 0: all. For correlation volumes, with ``coarse_hourglasses``.
     """
 
     dims: Literal[2, 3]
@@ -122,10 +122,9 @@ class NetConfig:
             not self.coarse_hourglasses
             or self.learns_volume
             or self.band % BAND_STEP
-            or self.band < 8
         ):
             raise InputError(
-                "band must be 0, or a multiple of 4 from 8 on in a network with a correlation "
+                "band must be 0, or a multiple of 8 in a network with a correlation "
                 f"volume and coarse_hourglasses from 1 on, got {self.band} with "
                 f"{self.cost_volume} and {self.coarse_hourglasses}"
             )
