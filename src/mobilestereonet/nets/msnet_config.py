@@ -119,9 +119,7 @@ class NetConfig:
                 f"got {self.coarse_hourglasses}"
             )
         if self.band and (
-            not self.coarse_hourglasses
-            or self.learns_volume
-            or self.band % BAND_STEP
+            not self.coarse_hourglasses or self.learns_volume or self.band % BAND_STEP
         ):
             raise InputError(
                 "band must be 0, or a multiple of 8 in a network with a correlation "
