@@ -226,7 +226,7 @@ def test_volume_loss_by_hand():
 
 
 def test_frozen_parts_stay_as_they_are():
-    module, recorder = _fit([_batch(0), _batch(1)], replace(RECIPE, frozen=("features",)))
+    _, recorder = _fit([_batch(0), _batch(1)], replace(RECIPE, frozen=("features",)))
     before = StereoModule(RECIPE, 2, 1).net.state_dict()
     after = recorder.states[-1][0]
     changed = {name for name, value in after.items() if not value.equal(before[name])}
