@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.nets.blocks import CONV, V2Block, conv_norm, transposed_norm, v1_block
+from mobilestereonet.nets.coarse_pass import Guide
 from mobilestereonet.nets.msnet_config import NetConfig
 
 
@@ -104,7 +105,7 @@ class Aggregation:
     pre_hourglass: nn.Module
     hourglasses: nn.ModuleList
     heads: nn.ModuleList
-    guide: nn.Module
+    guide: Guide
 
     def aggregate(self, volume: Tensor, guidance: Tensor | None = None) -> list[Tensor]:
         """Matching scores of a cost volume.
