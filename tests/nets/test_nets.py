@@ -46,7 +46,9 @@ def test_every_named_network(name):
         net = net.double()  # fresh weights saturate some softmaxes in float32
     left, right = torch.randn(2, shape[0], 3, *shape[1:], dtype=next(net.parameters()).dtype)
     outputs = net(left, right)
-    assert outputs.disparity.shape == shape
+    # The accurate MC-CNN has none in training: it would take most of a step.
+    assert (outputs.disparity is None) == (name == "mccnn-slow")
+    assert outputs.disparity is None or outputs.disparity.shape == shape
     valid = torch.ones(shape, dtype=torch.bool)
     net.training_loss(outputs, torch.full(shape, 8.0, dtype=left.dtype), valid).backward()
     for key, parameter in net.named_parameters():

@@ -232,5 +232,10 @@ def test_frozen_parts_stay_as_they_are():
     changed = {name for name, value in after.items() if not value.equal(before[name])}
     assert not any(name.startswith("features.") for name in changed)
     assert {"heads.1.score.weight", "hourglasses.0.up6.1.running_mean"} <= changed
+    recipe = replace(RECIPE, frozen_norms=True)
+    after = _fit([_batch(0), _batch(1)], recipe)[1].states[-1][0]
+    changed = {name for name, value in after.items() if not value.equal(before[name])}
+    assert not any("running" in name for name in changed)
+    assert {"heads.1.score.weight", "hourglasses.0.up6.1.weight"} <= changed
     with pytest.raises(InputError, match=r"frozen names 'heads\.9', which table3a-v1-v1 does not"):
         _fit([_batch(0)], replace(RECIPE, frozen=("heads.9",)))

@@ -11,6 +11,7 @@ from typing import Any, cast
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.utils import (
     convert_conv2d_weight_memory_format,
     convert_conv3d_weight_memory_format,
@@ -113,6 +114,10 @@ class StereoModule(L.LightningModule):
         fast = accelerate(self.net, "training").train()
         for part in self._frozen_parts(fast):
             part.eval()
+        if self.recipe.frozen_norms:
+            for module in fast.modules():
+                if isinstance(module, _BatchNorm):
+                    module.eval()
         self._accelerated = (fast,)
 
     def _frozen_parts(self, net: StereoModel) -> list[nn.Module]:

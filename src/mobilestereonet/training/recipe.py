@@ -103,6 +103,8 @@ class Recipe:
             have such a method; the paper does not.
         frozen: Parts of the network that keep their weights and batch norm statistics, by the
             names of their modules, such as "features".
+        frozen_norms: Batch norms normalise by the statistics of the weights that training starts
+            from, and keep them: for fine-tuning with few pairs per step, whose own statistics vary.
         seed: Seed of the fresh weights, the order of the data and the augmentation.
     """
 
@@ -141,6 +143,7 @@ class Recipe:
     teacher: str | None = None
     distil: float = 1.0
     frozen: tuple[str, ...] = ()
+    frozen_norms: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
