@@ -396,6 +396,7 @@ def test_findings_come_with_the_result(matcher):
     assert [(found.check, found.level) for found in good] == [
         ("content", "good"),
         ("exposure", "good"),
+        ("geometry", "unknown"),
     ]
     assert "same picture" in matcher(left, left).findings[0].text
     assert matcher(left, right // 3).findings[1].level == "warning"

@@ -119,3 +119,33 @@ def test_what_cannot_be_read_is_told_not_raised(sequence):
     assert "view_1.png: not an image" in frames[1].problem
     assert "160x48" in frames[2].problem
     assert frames[0].pair.left.shape == (3, 48, 160)
+
+
+def test_views_named_by_their_time_stamps(tmp_path):
+    start = 1403636579763555584  # ns, 50 ms apart
+    for index in range(4):
+        touch(tmp_path / "l" / f"{start + 50_000_000 * index}.png")
+        if index != 1:
+            touch(tmp_path / "r" / f"{start + 50_000_000 * index + 3_000_017}.png")
+    with pytest.warns(UserWarning, match="1 of 4 left views and 0 of 3 right ones have no partner"):
+        pairs = find_pairs(tmp_path / "l", tmp_path / "r")
+    assert [pair.name for pair in pairs] == [str(start + 50_000_000 * i) for i in (0, 2, 3)]
+    assert all(int(pair.right.stem) - int(pair.left.stem) == 3_000_017 for pair in pairs)
+
+
+def test_ways_to_pair_views(tmp_path):
+    for index, seconds in enumerate((9.9, 10.0, 10.1)):
+        touch(tmp_path / "l" / f"cam0_{seconds}.png")
+        touch(tmp_path / "r" / f"cam1_{index}_{seconds + 0.02:.2f}.png")
+    ordered = find_pairs(tmp_path / "l", tmp_path / "r", "order")
+    assert [pair.name for pair in ordered] == ["cam0_9.9", "cam0_10.0", "cam0_10.1"]
+    assert find_pairs(tmp_path / "l", tmp_path / "r", "nearest") == ordered
+    with pytest.raises(FileNotFoundError, match="right view"):
+        find_pairs(tmp_path / "l", tmp_path / "r")
+    with pytest.raises(InputError, match="by name, order or nearest; got 'time'"):
+        find_pairs(tmp_path / "l", tmp_path / "r", "time")
+    touch(tmp_path / "l" / "none.png")
+    with pytest.raises(InputError, match="4 left views, but 3 right ones"):
+        find_pairs(tmp_path / "l", tmp_path / "r", "order")
+    with pytest.raises(InputError, match=r"none.png: no time stamp in its name"):
+        find_pairs(tmp_path / "l", tmp_path / "r", "nearest")

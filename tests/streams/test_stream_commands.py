@@ -177,3 +177,40 @@ def test_bad_input_ends_with_one_line_and_writes_nothing(
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"msnet: .*{message}.*\n", err)
     assert tree(sequence) == before
+
+
+def swap(sequence):
+    for name in ("left", "right"):
+        (sequence / name).rename(sequence / f"{name}_")
+    (sequence / "left_").rename(sequence / "right")
+    (sequence / "right_").rename(sequence / "left")
+
+
+@pytest.mark.parametrize("command", ["batch", "video"])
+def test_the_first_look_holds_for_all_pairs(msnet, sequence, command):
+    swap(sequence)
+    maps = sequence / "maps"
+    place = ("-o", maps) if command == "batch" else ("--frames", maps)
+    code, _, err = msnet(command, sequence / "left", sequence / "right", *place)
+    assert code == 0
+    assert "order: " in err and "have been exchanged" in err
+    for index in (0, 7):
+        disparity = cv2.imread(str(maps / f"view_{index}_disparity.png"), -1) / 256
+        assert np.median(centre(disparity)) == pytest.approx(10 + index, abs=0.2)
+
+
+@pytest.mark.parametrize("command", ["batch", "video"])
+def test_depth_of_views_that_cannot_give_it_is_refused(msnet, sequence, command):
+    path = sequence / "right" / "view_0.png"
+    assert cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 6, axis=0))
+    maps = sequence / "maps"
+    views = sequence / "left", sequence / "right"
+    place = ("-o", maps, "--write", "depth.png") if command == "batch" else ("--frames", maps)
+    depth = ("--focal", 100, "--baseline", 0.2)
+    code, _, err = msnet(command, *views, *place, *depth)
+    assert code == 2
+    assert "rectified: " in err and "say --force" in err
+    assert not any(maps.rglob("*"))
+    code, _, _ = msnet(command, *views, *place, *depth, "--force")
+    assert code == 0
+    assert len(list(maps.iterdir())) == (11 if command == "batch" else 22)

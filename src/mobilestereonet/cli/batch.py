@@ -11,8 +11,9 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import MAP_KINDS, one_of
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
-from mobilestereonet.cli.options import OutputFolder
+from mobilestereonet.cli.options import OutputFolder, PairBy
 from mobilestereonet.cli.sinks import SinkOptions
+from mobilestereonet.cli.views import ViewsOptions
 
 
 def batch(
@@ -48,6 +49,8 @@ def batch(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
+    pair_by: PairBy = None,
+    views: ViewsOptions,
     sinks: SinkOptions,
     options: MatcherOptions,
     filters: FilterOptions,
@@ -65,7 +68,13 @@ def batch(
     from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.errors import InputError
-    from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
+    from mobilestereonet.streams import (
+        MapFiles,
+        find_pairs,
+        look_at_pairs,
+        match_on_ray,
+        match_pairs,
+    )
 
     if ray is not None and sinks.given:
         raise InputError(
@@ -77,7 +86,7 @@ def batch(
     if cameras.known:
         raise InputError("--known is for `msnet predict`, which prints --focal and --baseline")
     rectifier = cameras.read()
-    pairs = find_pairs(left, right)
+    pairs = find_pairs(left, right, pair_by)
     for pair in pairs:
         note_inputs(pair.left, pair.right)
     check_outputs(*(path for pair in pairs for path in files.paths(pair.name)))
@@ -90,12 +99,16 @@ def batch(
     if options.model is not None and Path(options.model).exists():
         options = replace(options, model=str(Path(options.model).absolute()))
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
+    findings, arrangement = look_at_pairs(todo, views.views, rectifier)
+    views.report(findings, metric=files.needs_calibration)
     make_folder(output)
     summary, stack = "", ExitStack()
     if ray is None:
         matcher = filters.open_matcher(options)
         summary = f" ({matcher.summary})"
-        statuses = match_pairs(todo, matcher, files, sinks.open(stack, matcher), rectifier)
+        statuses = match_pairs(
+            todo, matcher, files, sinks.open(stack, matcher), rectifier, arrangement
+        )
     else:
         statuses = match_on_ray(
             todo,
@@ -106,6 +119,7 @@ def batch(
             workers=workers,
             cpus=cpus,
             gpus=gpus,
+            arrangement=arrangement,
         )
     failed = 0
     with stack, progress_bar("pairs") as progress:

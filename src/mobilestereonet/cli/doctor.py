@@ -7,12 +7,12 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import RigFiles
-from mobilestereonet.cli.options import AsJson, LeftView, RightView
+from mobilestereonet.cli.options import AsJson, LeftView, SecondView
 
 
 def doctor(
     left: LeftView,
-    right: RightView,
+    right: SecondView = None,
     max_disparity: Annotated[
         int, typer.Option(min=1, help="Disparities that the network searches, in px.")
     ] = 192,
@@ -27,19 +27,19 @@ def doctor(
     from rich.console import Console
 
     from mobilestereonet.inference import load_pair
-    from mobilestereonet.inference.checks import check_pair
+    from mobilestereonet.inference.first_look import check_whole
 
-    colours = {"good": "green", "warning": "yellow", "problem": "red", "unknown": "yellow"}
+    colours = {"good": "green", "fixed": "green", "problem": "red"}
     rectifier, pair = files.read(), load_pair(left, right)
     if rectifier is not None:
         pair = rectifier.pair(pair)
-    findings = check_pair(pair.left_image, pair.right_image, max_disparity)
+    findings = check_whole(pair, max_disparity)
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
         console = Console(highlight=False)
         for finding in findings:
-            level = f"[{colours[finding.level]}]{finding.level:8}[/]"
+            level = f"[{colours.get(finding.level, 'yellow')}]{finding.level:8}[/]"
             console.print(f"{level} {finding.check}: {finding.text}", soft_wrap=True)
             if finding.advice:
                 console.print(f"         -> {finding.advice}", soft_wrap=True)

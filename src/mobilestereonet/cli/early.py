@@ -61,6 +61,14 @@ MAP_KINDS = (
 )
 """Maps of ``msnet batch``."""
 
+LAYOUTS = ("side-by-side", "top-bottom")
+ORDERS = ("left-right", "right-left")
+ROTATIONS = (0, 90, 180, 270)
+"""What a user may say about the views."""
+
+PAIR_BY = ("name", "order", "nearest")
+"""Ways to pair image files."""
+
 UNITS = ("m", "cm", "mm")
 """Units of lengths in a calibration."""
 
@@ -101,11 +109,12 @@ def each(check: Callable[[str, Any], None]) -> Callback:
     return callback
 
 
-def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> Callback:
-    """Check that a value is one of some names."""
+def one_of(names: Collection[str | int] | Callable[[], Collection[str]]) -> Callback:
+    """Check that a value is one of some names or numbers."""
 
-    def check(option: str, value: str) -> None:
-        _check_name(option, value, names() if callable(names) else names)
+    def check(option: str, value: str | int) -> None:
+        known = names() if callable(names) else names
+        _check_name(option, str(value), [str(name) for name in known])
 
     return each(check)
 

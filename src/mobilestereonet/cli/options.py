@@ -8,8 +8,10 @@ from typing import Annotated, TypeAlias
 import typer
 
 from mobilestereonet.cli.early import (
+    PAIR_BY,
     existing_file,
     existing_folder,
+    one_of,
     recipe_name,
     recipe_value,
 )
@@ -25,8 +27,25 @@ LeftView: TypeAlias = Annotated[
 RightView: TypeAlias = Annotated[
     Path, typer.Argument(help="Right view, of the same size.", callback=existing_file)
 ]
+SecondView: TypeAlias = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Right view, of the same size. Without it the first file has both: an MPO, or one "
+        "picture with both views side by side or one above the other.",
+        callback=existing_file,
+    ),
+]
 OutputFolder: TypeAlias = Annotated[
     Path, typer.Option("--output", "-o", help="Folder to write to.")
+]
+PairBy: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--pair",
+        help="Pair image files by their name, by their order, or by the nearest time stamp in "
+        "their names. Default: name, and nearest where no name is in both folders.",
+        callback=one_of(PAIR_BY),
+    ),
 ]
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 DataRoot: TypeAlias = Annotated[

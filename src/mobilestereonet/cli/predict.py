@@ -11,16 +11,18 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
-from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, RightView
+from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, SecondView
 from mobilestereonet.cli.sinks import Rerun
+from mobilestereonet.cli.views import ViewsOptions
 from mobilestereonet.errors import InputError
 
 
 def predict(
     left: LeftView,
-    right: RightView,
-    output: OutputFolder,
+    right: SecondView = None,
     *,
+    output: OutputFolder,
+    views: ViewsOptions,
     options: MatcherOptions,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
@@ -50,7 +52,6 @@ def predict(
 ) -> None:
     """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
     import json
-    import sys
     from dataclasses import asdict
 
     depth_files, point_files = depth or [], points or []
@@ -63,15 +64,20 @@ def predict(
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
     from mobilestereonet.inference import load_pair
+    from mobilestereonet.inference.first_look import put_right
     from mobilestereonet.inference.result import MAP_FILES
     from mobilestereonet.streams import RerunLog, StereoFrame
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
     check_outputs(*maps, *depth_files, *point_files)
-    rectifier = cameras.read()
-    pair = load_pair(left, right)
-    if rectifier is not None:
+    rectifier, pair = cameras.read(), load_pair(left, right)
+    raw = rectifier is not None and rectifier.rectifies
+    if rectifier is not None and raw:
         pair = rectifier.pair(pair)
+    pair = put_right(pair, views.views)
+    if rectifier is not None and not raw:
+        pair = rectifier.pair(pair)
+    views.report(pair.findings, metric=bool(depth_files or point_files))
     cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
@@ -80,9 +86,6 @@ def predict(
         make_folder(folder)
     result = matcher.match(pair)
     calibration = calibration or cameras.scaled(result)
-    for finding in result.findings:
-        if finding.level != "good":
-            print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
     if calibration is not None and depth_files:
         metres = result.depth(calibration)

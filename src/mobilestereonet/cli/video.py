@@ -14,7 +14,9 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
+from mobilestereonet.cli.options import PairBy
 from mobilestereonet.cli.sinks import SinkOptions, TopicOptions
+from mobilestereonet.cli.views import ViewsOptions
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ def video(
         ),
     ] = None,
     *,
+    pair_by: PairBy = None,
+    views: ViewsOptions,
     topics: TopicOptions,
     sinks: SinkOptions,
     options: MatcherOptions,
@@ -102,8 +106,13 @@ def video(
     from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
     from mobilestereonet.interruption import sigint_sets_event
-    from mobilestereonet.streams import MapFiles, StereoFrame, match_video, open_stream
-    from mobilestereonet.streams.stream import rectify_frames
+    from mobilestereonet.streams import (
+        MapFiles,
+        StereoFrame,
+        look_at_stream,
+        match_video,
+        open_stream,
+    )
     from mobilestereonet.streams.video_files import check_video_file
 
     if cameras.known:
@@ -113,11 +122,11 @@ def video(
         check_video_file(output)
     note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
     check_outputs(*([] if output is None else [output]), *sinks.files)
-    stream = open_stream(left, right, fps, **asdict(topics))
-    if rectifier is not None:
-        if stream.calibration is not None and rectifier.rectifies:
-            raise InputError(f"{left} tells how its pictures are rectified: leave --rig out")
-        stream = replace(stream, frames=rectify_frames(stream.frames, rectifier))
+    stream = open_stream(left, right, fps, pair_by=pair_by, **asdict(topics))
+    if rectifier is not None and stream.calibration is not None and rectifier.rectifies:
+        raise InputError(f"{left} tells how its pictures are rectified: leave --rig out")
+    findings, stream = look_at_stream(stream, views.views, rectifier)
+    views.report(findings, metric=rectifier is not None or stream.calibration is not None)
     if hz is None:
         matcher = filters.open_matcher(options)
     else:

@@ -31,8 +31,14 @@ _MAX_FEATURE_PIXELS = 1_000_000
 _SPARE_PX = 8
 """By how much a search begins below the smallest disparity of the features."""
 
+_MISSING_ROWS = 0.1
+"""Share of rows of one colour that one view has more than the other: it is damaged from then on."""
+
 _FEATURES_OF_A_SCENE = 300
 """Features of each view from which on a scene that both show would be recognised."""
+
+_MIN_ALIKE = 5
+"""Features alike, beyond twice those that are by chance, that a common scene has at least."""
 
 
 def quick_checks(left: Picture, right: Picture) -> list[Finding]:
@@ -91,16 +97,21 @@ def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = 
         max_disparity: Disparities that the network searches, in px.
     """
     greys = [small_grey(view, scale) for view in (left, right)]
+    flat = [float(np.mean(np.ptp(grey, axis=1) <= 2)) for grey in greys]
+    if abs(flat[0] - flat[1]) > _MISSING_ROWS:
+        return Look((_damaged(flat),))
     here, there = (find_features(grey) for grey in greys)
     height, width = greys[0].shape
     seen, mirrored = match_features(here, there), False
+    alike = seen.alike
     if not len(seen):
         mirror = Turn(mirrored=True)
         seen = match_features(here, find_features(mirror.picture(greys[1])))
         mirrored = bool(len(seen))
         seen = replace(seen, right=mirror.points(seen.right, (width, height)))
     if not len(seen):
-        return Look((_nothing_in_common(len(here.points), len(there.points)),))
+        counts = len(here.points), len(there.points)
+        return Look((_nothing_in_common(counts, alike, by_chance=seen.alike),))
     turns = find_turns(seen, mirrored, (width, height))
     places = turns.points(seen, (width, height))
     disparity, vertical = (places[0] - places[1]).T / scale
@@ -118,12 +129,21 @@ def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = 
     return Look(tuple(findings), replace(turns, swapped=swapped), len(seen))
 
 
-def _nothing_in_common(*features: int) -> Finding:
-    if min(features) < _FEATURES_OF_A_SCENE:
-        text = f"{features[0]} and {features[1]} image features, of which too few match to tell"
+def _damaged(flat: list[float]) -> Finding:
+    """One view has rows of one colour where the other has none."""
+    side = "left" if flat[0] > flat[1] else "right"
+    text = f"{max(flat):.0%} of the {side} view's rows are of one colour, and not of the other's"
+    return Finding("content", "problem", text, "a part of it is missing: take it again")
+
+
+def _nothing_in_common(features: tuple[int, int], alike: int, by_chance: int) -> Finding:
+    """Nothing can be told, or there is no common scene: then a mirrored one is as much alike."""
+    text = f"{alike} of {features[0]} and {features[1]} image features match"
+    if min(features) < _FEATURES_OF_A_SCENE or alike > 2 * by_chance + _MIN_ALIKE:
+        text += ", too few to tell"
         advice = "make sure that both views show one scene, sharp and with texture"
         return Finding("geometry", "unknown", text, advice)
-    text = f"of {features[0]} and {features[1]} image features hardly any match: no common scene"
+    text += ": no common scene"
     advice = "give two views of one scene, taken at one moment from places side by side"
     return Finding("overlap", "problem", text, advice)
 
@@ -200,9 +220,11 @@ def _order(disparity: Points) -> Finding:
             f"of `msnet predict`, they were in order, and {converge}"
         )
         return Finding("order", "problem", text, advice)
-    if negative > 0.05:
+    if negative > 0.02:
         text = f"{negative:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
-        return Finding("order", "problem", text, converge)
+        if negative > 0.05:
+            return Finding("order", "problem", text, converge)
+        return Finding("order", "unknown", text, f"a few wrong matches, or {converge}")
     return Finding("order", "good", "left is left and right is right")
 
 

@@ -17,7 +17,7 @@ Points: TypeAlias = NDArray[np.float32]
 MIN_MATCHES = 30
 """Matches from which on they tell a geometry: fewer may agree by chance."""
 
-_MAX_FEATURES = 3000
+_MAX_FEATURES = 2000
 _MAX_DISTANCE_RATIO = 0.75
 """A match counts if the second best is farther by this factor (Lowe's test)."""
 
@@ -38,11 +38,13 @@ class Matches:
         left: Their places in the left view.
         right: Their places in the right view.
         turn: Multiple of 90 degrees by which the right view is turned clockwise against the left.
+        alike: Number of features with a clear counterpart, before the epipolar geometry is asked.
     """
 
     left: Points
     right: Points
     turn: int = 0
+    alike: int = 0
 
     def __len__(self) -> int:
         return len(self.left)
@@ -65,11 +67,12 @@ def find_features(grey: Array) -> Features:
 
 def match_features(left: Features, right: Features) -> Matches:
     """Match features, filtered by the epipolar geometry; none if there are too few to tell."""
-    none = Matches(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+    nowhere = np.zeros((0, 2), np.float32)
     if min(len(left.points), len(right.points)) < MIN_MATCHES:
-        return none
+        return Matches(nowhere, nowhere)
     pairs: Any = cv2.BFMatcher().knnMatch(left.descriptors, right.descriptors, k=2)
     best = [one for one, two in pairs if one.distance < _MAX_DISTANCE_RATIO * two.distance]
+    none = Matches(nowhere, nowhere, alike=len(best))
     if len(best) < MIN_MATCHES:
         return none
     here, there = [one.queryIdx for one in best], [one.trainIdx for one in best]
@@ -81,4 +84,4 @@ def match_features(left: Features, right: Features) -> Matches:
     # Each match votes for a number of quarter turns.
     turns = np.deg2rad(right.angles[there] - left.angles[here])[kept]
     votes = np.bincount(np.rint(turns / (np.pi / 2)).astype(int) % 4, minlength=4)
-    return Matches(points[0][kept], points[1][kept], 90 * int(votes.argmax()))
+    return Matches(points[0][kept], points[1][kept], 90 * int(votes.argmax()), len(best))

@@ -18,8 +18,8 @@ from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.scaled import ScaledEngine, check_scale
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.checks import quick_checks
 from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
+from mobilestereonet.inference.first_look import findings_of, put_right
 from mobilestereonet.inference.pair import (
     ImageLike,
     StereoPair,
@@ -316,7 +316,9 @@ class StereoMatcher:
         engine = self.engine
         return f"StereoMatcher({self.model}, {engine.name}, {engine.precision}, {self.device})"
 
-    def __call__(self, left: ImageLike, right: ImageLike | None = None) -> StereoResult:
+    def __call__(
+        self, left: ImageLike, right: ImageLike | None = None, *, look: bool = True
+    ) -> StereoResult:
         """Match one pair.
 
         Args:
@@ -324,9 +326,12 @@ class StereoMatcher:
                 uint8, uint16 or floating point in 0..1; a tensor (3, H, W) or (1, 3, H, W); or a
                 PIL image. At least 2 x 2 pixels.
             right: Right view of the same size, likewise.
+            look: Take a first look at the pair, see `first_look`: views that are swapped, turned
+                or mirrored are put right. It takes up to 0.3 s: for the frames of one camera look
+                at the first one alone.
 
         Returns:
-            The result, in the size of the views.
+            The result, in the size of the views; its findings say what the look found.
 
         Raises:
             FileNotFoundError: If a file does not exist.
@@ -336,7 +341,12 @@ class StereoMatcher:
             raise InputError(
                 "no right view: one pair is matcher(left, right), several are matcher.batch(pairs)"
             )
-        return self.match(load_pair(left, right))
+        pair = load_pair(left, right)
+        if look:
+            if self.rectifier is not None and self.rectifier.rectifies:
+                pair = self.rectifier.pair(pair)  # of raw pictures nothing can be told
+            pair = put_right(pair, max_disparity=self.engine.max_disparity)
+        return self.match(pair)
 
     def match(self, pair: StereoPair) -> StereoResult:
         """Match a pair that `load_pair` has read and checked."""
@@ -424,7 +434,7 @@ class StereoMatcher:
                 left=pair.left_image,
                 valid=np.isfinite(maps["disparity"][index]),
                 filter=self.filter,
-                findings=tuple(quick_checks(pair.left_image, pair.right_image)),
+                findings=findings_of(pair),
                 info=info,
                 calibration=pair.calibration,
                 **{name: map_[index] for name, map_ in maps.items()},

@@ -4,6 +4,7 @@ from mobilestereonet.streams.bag_file import BagFile
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.cluster import match_on_ray
 from mobilestereonet.streams.driving import find_pairs
+from mobilestereonet.streams.look import look_at_pairs, look_at_stream
 from mobilestereonet.streams.maps import MAP_KINDS, MapFiles
 from mobilestereonet.streams.matched import match_stream
 from mobilestereonet.streams.open import open_stream
@@ -23,6 +24,8 @@ __all__ = [
     "Stream",
     "VideoStats",
     "find_pairs",
+    "look_at_pairs",
+    "look_at_stream",
     "match_on_ray",
     "match_pairs",
     "match_stream",

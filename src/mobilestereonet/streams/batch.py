@@ -9,10 +9,12 @@ from typing import TypeAlias
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier, StereoMatcher, StereoResult
+from mobilestereonet.inference.arrangement import AS_GIVEN, Arrangement
+from mobilestereonet.streams.look import prepared
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.pairs import PairFiles, read_pairs
-from mobilestereonet.streams.stream import StereoFrame, rectify_frames
+from mobilestereonet.streams.stream import StereoFrame
 
 FrameResult: TypeAlias = tuple[StereoFrame, StereoResult | None]
 """A frame and its result, which is None where the frame has a ``problem``."""
@@ -41,6 +43,7 @@ def match_pairs(
     files: MapFiles,
     sinks: Sequence[Sink] = (),
     rectifier: Rectifier | None = None,
+    arrangement: Arrangement = AS_GIVEN,
 ) -> Iterator[PairStatus]:
     """Match pairs and write their maps; reading, matching and writing overlap.
 
@@ -50,6 +53,7 @@ def match_pairs(
         files: Files of their maps.
         sinks: What else gets each pair with its result, such as a recording.
         rectifier: Rectifies all pairs, and has their calibration.
+        arrangement: What puts all of them right, see `look_at_pairs`.
 
     Yields:
         The status of each pair, once its files are written. A pair that cannot be read or
@@ -59,8 +63,7 @@ def match_pairs(
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    read = read_pairs(pairs)
-    frames: Iterable[StereoFrame] = prefetch(rectify_frames(read, rectifier) if rectifier else read)
+    frames: Iterable[StereoFrame] = prefetch(prepared(read_pairs(pairs), rectifier, arrangement))
     if files.needs_calibration:
         frames = _check_calibrations(frames)
     for frame, result in prefetch(match_frames(frames, matcher)):

@@ -10,6 +10,7 @@ import cv2
 
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import Rectifier, StereoMatcher
+from mobilestereonet.inference.arrangement import AS_GIVEN, Arrangement
 from mobilestereonet.streams.batch import PairStatus, match_pairs
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.pairs import PairFiles
@@ -28,9 +29,11 @@ class _Worker:
         make_matcher: Callable[[], StereoMatcher],
         cpus: int,
         rectifier: Rectifier | None,
+        arrangement: Arrangement,
     ) -> None:
         cv2.setNumThreads(cpus)  # OpenCV takes all cores of the machine if it is not told
-        self.pairs, self.files, self.rectifier = pairs, files, rectifier
+        self.pairs, self.files = pairs, files
+        self.rectifier, self.arrangement = rectifier, arrangement
         self.matcher = make_matcher()
 
     def __call__(self, rows: dict[str, Any]) -> dict[str, Any]:
@@ -38,7 +41,13 @@ class _Worker:
         # A task whose worker died is given to another one, which finds what is finished.
         todo = self.files.unfinished(pairs)
         statuses = [PairStatus(pair.name) for pair in pairs if pair not in todo]
-        statuses += match_pairs(todo, self.matcher, self.files, rectifier=self.rectifier)
+        statuses += match_pairs(
+            todo,
+            self.matcher,
+            self.files,
+            rectifier=self.rectifier,
+            arrangement=self.arrangement,
+        )
         return {
             "name": [status.name for status in statuses],
             "problem": [status.problem for status in statuses],
@@ -55,6 +64,7 @@ def match_on_ray(
     workers: int = 2,
     cpus: int = 1,
     gpus: float = 0,
+    arrangement: Arrangement = AS_GIVEN,
 ) -> Iterator[PairStatus]:
     """Match pairs on a Ray cluster and write their maps.
 
@@ -71,6 +81,7 @@ def match_on_ray(
         workers: How many processes.
         cpus: Processor cores of each.
         gpus: GPUs of each.
+        arrangement: What puts all pairs right, see `look_at_pairs`.
 
     Yields:
         The status of each pair, in any order.
@@ -99,7 +110,7 @@ def match_on_ray(
         statuses = ray.data.from_items(list(range(len(todo))), override_num_blocks=tasks)
         statuses = statuses.map_batches(
             _Worker,
-            fn_constructor_args=(todo, files, make_matcher, cpus, rectifier),
+            fn_constructor_args=(todo, files, make_matcher, cpus, rectifier, arrangement),
             batch_size=None,
             compute=ray.data.ActorPoolStrategy(size=min(workers, tasks)),
             num_cpus=cpus,

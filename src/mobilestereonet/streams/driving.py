@@ -17,7 +17,9 @@ from mobilestereonet.streams.pairs import PairFiles, pair_folders
 _KITTI_360 = "data_2d_raw/*/image_{}/data_rect/*.png"
 
 
-def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFiles]:
+def find_pairs(
+    left: str | Path, right: str | Path | None = None, pair_by: str | None = None
+) -> list[PairFiles]:
     """Find the pairs of two folders, or of a driving data set.
 
     Args:
@@ -26,6 +28,7 @@ def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFi
             so on, or that of KITTI-360, which holds ``data_2d_raw`` and ``calibration``.
         right: Folder of right views whose files have the same names, or a pattern whose wildcards
             stand for the same as in ``left``.
+        pair_by: How two folders are paired, see `pair_folders`.
 
     Returns:
         The pairs in the order of their names, in which 10 comes after 9.
@@ -36,7 +39,7 @@ def find_pairs(left: str | Path, right: str | Path | None = None) -> list[PairFi
             images are meant.
     """
     if right is not None:
-        return pair_folders(left, right)
+        return pair_folders(left, right, pair_by)
     root = Path(left)
     if any(root.glob(_KITTI_360.format("00"))):
         return _kitti_360(root)
@@ -83,7 +86,8 @@ def _kitti_360(root: Path) -> list[PairFiles]:
     calibration = read_calibration(cameras, (0, 1)) if cameras.is_file() else None
     pose = _kitti_360_pose(cameras, root / "calibration/calib_cam_to_velo.txt")
     pairs = []
-    for pair in pair_folders(*(root / _KITTI_360.format(camera) for camera in ("00", "01"))):
+    left, right = (root / _KITTI_360.format(camera) for camera in ("00", "01"))
+    for pair in pair_folders(left, right):
         drive, *_, frame = pair.name.split("/")
         name = f"{drive}/{frame}"
         pairs.append(replace(pair, name=name, calibration=calibration, to_laser=pose))

@@ -11,6 +11,7 @@ from typing import Any
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.inference import StereoMatcher, StereoResult
 from mobilestereonet.streams.batch import match_frames
+from mobilestereonet.streams.look import look_at_stream
 from mobilestereonet.streams.open import open_stream
 from mobilestereonet.streams.overlap import latest_only, prefetch
 from mobilestereonet.streams.stream import StereoFrame, Stream, in_real_time
@@ -29,7 +30,8 @@ def match_stream(
         for frame, result in match_stream("run.mcap", matcher, left_topic=..., right_topic=...):
             depth = result.depth(frame.calibration)
 
-    A frame that cannot be read or matched is left out with a warning.
+    A frame that cannot be read or matched is left out with a warning. What the first look at the
+    first frame puts right holds for all, and every result has its findings.
 
     Args:
         source: What `open_stream` takes first, or what it gave.
@@ -48,6 +50,7 @@ def match_stream(
     """
     stream = open_stream(source, **options) if isinstance(source, str) else source
     known = calibration or stream.calibration
+    _, stream = look_at_stream(stream)
     if stream.live:
         frames = stream.frames
     elif real_time:

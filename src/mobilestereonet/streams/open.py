@@ -21,6 +21,7 @@ def open_stream(
     left_topic: str | None = None,
     right_topic: str | None = None,
     tolerance: float = TOLERANCE_S,
+    pair_by: str | None = None,
 ) -> Stream:
     """Open a video, a camera, a bag or an image sequence.
 
@@ -34,6 +35,7 @@ def open_stream(
         left_topic: Topic of a bag's left images.
         right_topic: Topic of its right images.
         tolerance: Largest difference between the stamps of a pair of a bag, in s.
+        pair_by: How an image sequence is paired, see `find_pairs`.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
@@ -59,7 +61,7 @@ def open_stream(
         if not Path(left).exists():
             raise FileNotFoundError(f"{left}: no such video")
         raise InputError(f"{left}: an image sequence needs two folders or patterns, left and right")
-    pairs = pair_folders(left, right)
+    pairs = pair_folders(left, right, pair_by)
     return Stream(read_pairs(pairs, fps), len(pairs))
 
 

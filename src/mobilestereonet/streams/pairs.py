@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Generator, Iterable
+import warnings
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from operator import itemgetter
 from pathlib import Path
 
 from mobilestereonet.data.files import visible
@@ -14,10 +17,13 @@ from mobilestereonet.data.scanners.base import Frame
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import load_pair
 from mobilestereonet.streams.laser import Pose
+from mobilestereonet.streams.pairing import pair_by_time, tolerance_of
 from mobilestereonet.streams.stream import StereoFrame
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 _WILDCARD = re.compile(r"[*?[]")
+_STAMP = re.compile(r"\d{9,}(\.\d+)?")
+"""A name that is a time stamp: seconds, or a smaller unit, since 1970."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +45,18 @@ class PairFiles:
     to_laser: Pose | None = field(default=None, compare=False)
 
 
-def pair_folders(left: str | Path, right: str | Path) -> list[PairFiles]:
+def pair_folders(
+    left: str | Path, right: str | Path, pair_by: str | None = None
+) -> list[PairFiles]:
     """Find the pairs of two folders or patterns, in the order of their names.
 
     Args:
         left: Folder of left views, or a pattern.
         right: Folder of right views whose files have the same names, or a pattern whose wildcards
             stand for the same.
+        pair_by: "name"; "order"; or "nearest", by the time stamps that the names end in, in any
+            unit. By default by name, and by stamps where no name is in both folders and all names
+            are stamps. A warning says how many views have no partner at their time.
 
     Raises:
         FileNotFoundError: If a folder or a view does not exist.
@@ -53,9 +64,19 @@ def pair_folders(left: str | Path, right: str | Path) -> list[PairFiles]:
             images are meant.
     """
     patterns = [_pattern(source) for source in (left, right)]
+    views = [sorted(visible(*own), key=lambda path: _natural(path.name)) for own in patterns]
+    if pair_by is None:
+        shared = {path.name for path in views[0]} & {path.name for path in views[1]}
+        stamped = all(_STAMP.fullmatch(path.stem) for own in views for path in own)
+        pair_by = "nearest" if stamped and not shared and all(views) else "name"
+    if pair_by == "order":
+        return _by_order(*views)
+    if pair_by == "nearest":
+        return _by_stamp(*views)
+    if pair_by != "name":
+        raise InputError(f"views are paired by name, order or nearest; got {pair_by!r}")
     frames = _PairFolders(*patterns).frames
-    right_root, right_views = patterns[1]
-    alone = set(visible(right_root, right_views)) - {frame.right for frame in frames}
+    alone = set(views[1]) - {frame.right for frame in frames}
     if alone:
         raise InputError(
             f"{len(frames)} left views, but {len(frames) + len(alone)} right ones: "
@@ -72,6 +93,47 @@ def pair_folders(left: str | Path, right: str | Path) -> list[PairFiles]:
     return [
         PairFiles(name, named[name].left, named[name].right) for name in sorted(named, key=_natural)
     ]
+
+
+def _by_order(lefts: Sequence[Path], rights: Sequence[Path]) -> list[PairFiles]:
+    if len(lefts) != len(rights):
+        raise InputError(
+            f"{len(lefts)} left views, but {len(rights)} right ones: to pair them by order, there "
+            "must be as many"
+        )
+    return [PairFiles(one.stem, one, other) for one, other in zip(lefts, rights, strict=True)]
+
+
+def _by_stamp(lefts: Sequence[Path], rights: Sequence[Path]) -> list[PairFiles]:
+    """Pairs of the nearest time stamps, half of the usual interval apart at most."""
+    stamps = [sorted((_stamp(path), path) for path in views) for views in (lefts, rights)]
+    start = min(own[0][0] for own in stamps)  # differences are small, and floats exact for them
+    lefts_at, rights_at = ([(float(stamp - start), path) for stamp, path in own] for own in stamps)
+    tolerance = tolerance_of(*([moment for moment, _ in own] for own in (lefts_at, rights_at)))
+    dropped: list[tuple[float, Path]] = []
+    paired = pair_by_time(lefts_at, rights_at, itemgetter(0), tolerance, dropped)
+    pairs = [PairFiles(one.stem, one, other) for (_, one), (_, other) in paired]
+    if not pairs:
+        raise InputError(
+            f"{lefts[0]} and {rights[0]}: no two time stamps are nearer than half of the interval "
+            "between views: are they of one recording? --pair order pairs them by their order"
+        )
+    if dropped:
+        warnings.warn(
+            f"{len(lefts) - len(pairs)} of {len(lefts)} left views and {len(rights) - len(pairs)} "
+            f"of {len(rights)} right ones have no partner at their time, such as {dropped[0][1]}: "
+            "they are left out",
+            stacklevel=3,
+        )
+    return pairs
+
+
+def _stamp(path: Path) -> Decimal:
+    """The number that a file's name ends in."""
+    numbers = re.findall(r"\d+(?:\.\d+)?", path.stem)
+    if not numbers:
+        raise InputError(f"{path}: no time stamp in its name: pair by name or by order")
+    return Decimal(numbers[-1])
 
 
 class _PairFolders(PairFolder):

@@ -20,9 +20,9 @@ from mobilestereonet.inference import (
     StereoMatcher,
     StereoPair,
     StereoResult,
-    check_pair,
     load_pair,
 )
+from mobilestereonet.inference.first_look import put_right
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.plots import colour_disparity
 from mobilestereonet.web.sessions import Session
@@ -107,11 +107,10 @@ def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answ
             bad.
     """
     calibration = geometry.calibration()
-    pair = _load(session)
+    pair = put_right(_load(session), max_disparity=matcher.engine.max_disparity)
     result = matcher.match(pair)
     started = time.perf_counter()
-    findings = check_pair(pair.left_image, pair.right_image, matcher.engine.max_disparity)
-    notes = [str(finding) for finding in findings if finding.level in ("warning", "problem")]
+    notes = [str(finding) for finding in pair.findings if finding.level not in ("good", "unknown")]
     with session.replace("answer") as folder:
         files = result.save(folder, "stereo")
         left, disparity = folder / "left.png", folder / "stereo_disparity_colours.png"

@@ -1,0 +1,159 @@
+"""The first look at a pair, a folder or a stream: what is wrong, and what can be put right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.inference.arrangement import AS_GIVEN, Arrangement, Turn
+from mobilestereonet.inference.checks import Look, check_pair, look_at, quick_checks
+from mobilestereonet.inference.finding import Finding
+from mobilestereonet.inference.pair import StereoPair
+
+LAYOUTS = ("side-by-side", "top-bottom")
+ORDERS = ("left-right", "right-left")
+ROTATIONS = (0, 90, 180, 270)
+
+_LOOK_SIZE_PX = 640
+"""Longer side to which larger pictures are scaled down for the first look."""
+
+
+_STACKED = Finding(
+    "layout",
+    "fixed",
+    "the picture has one view above the other: it was split so",
+    "if it has not: --layout side-by-side",
+)
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """What a user says about the views; what is None the first look finds out.
+
+    Attributes:
+        layout: Of one picture with both views, one of `LAYOUTS`.
+        order: One of `ORDERS`; of views one above the other, the upper one is the first.
+        rotate: Degrees by which both views are turned clockwise, one of `ROTATIONS`.
+    """
+
+    layout: str | None = None
+    order: str | None = None
+    rotate: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in (("layout", LAYOUTS), ("order", ORDERS), ("rotate", ROTATIONS)):
+            value = getattr(self, name)
+            if value is not None and value not in choices:
+                listed = ", ".join(map(str, choices))
+                raise InputError(f"{name} is one of {listed}; got {value!r}")
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """What the user asks for."""
+        turn = Turn(self.rotate or 0)
+        return Arrangement(self.layout == "top-bottom", turn, turn, self.order == "right-left")
+
+
+def first_look(
+    pair: StereoPair, options: ViewOptions | None = None, max_disparity: float = math.inf
+) -> tuple[Arrangement, tuple[Finding, ...]]:
+    """Look at a pair before it is matched, in less than 0.3 s.
+
+    Args:
+        pair: The pair as it was given.
+        options: What the user says about it.
+        max_disparity: Disparities that the network searches, in px.
+
+    Returns:
+        What puts the pair right, to be applied to it and to all that come from the same source;
+        and what was found. A finding is ``fixed`` if the arrangement puts it right.
+    """
+    options = options or ViewOptions()
+    start, findings = options.arrangement, list(pair.findings)
+    if pair.joined and options.layout is None and _is_stacked(pair, start):
+        start = replace(start, top_bottom=True)
+        findings.append(_STACKED)
+    arranged = start(pair)
+    findings += quick_checks(arranged.left_image, arranged.right_image)
+    if any(finding.level == "problem" for finding in findings):
+        return start, tuple(findings)
+    look = _look(arranged, _LOOK_SIZE_PX, max_disparity)
+    found = look.arrangement
+    if options.rotate is not None and (found.left or found.right):
+        found = AS_GIVEN  # what the user turned is not turned again
+    if options.order is not None:
+        found = replace(found, swapped=False)
+    findings += [_after(finding, found, options) for finding in look.findings]
+    turns = (found.right, found.left) if start.swapped else (found.left, found.right)
+    return (
+        Arrangement(
+            start.top_bottom,
+            turns[0] or start.left,
+            turns[1] or start.right,
+            start.swapped or found.swapped,
+        ),
+        tuple(findings),
+    )
+
+
+def put_right(
+    pair: StereoPair, options: ViewOptions | None = None, max_disparity: float = math.inf
+) -> StereoPair:
+    """A pair after the first look, with its findings; see `first_look`."""
+    arrangement, findings = first_look(pair, options, max_disparity)
+    return replace(arrangement(pair), findings=findings)
+
+
+def check_whole(pair: StereoPair, max_disparity: int) -> list[Finding]:
+    """All checks of a pair at full size, as it was given: what is wrong is not put right.
+
+    One picture with both views is split as its content says.
+    """
+    findings = list(pair.findings)
+    if pair.joined and _is_stacked(pair, AS_GIVEN):
+        pair = Arrangement(top_bottom=True)(pair)
+        findings.append(_STACKED)
+    return [*findings, *check_pair(pair.left_image, pair.right_image, max_disparity)]
+
+
+def findings_of(pair: StereoPair) -> tuple[Finding, ...]:
+    """Findings of a pair, those of the quick checks among them."""
+    known = {finding.check for finding in pair.findings}
+    quick = [] if "content" in known else quick_checks(pair.left_image, pair.right_image)
+    return (*pair.findings, *quick)
+
+
+def problems(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings with which there is no sensible result."""
+    return [finding for finding in findings if finding.level == "problem"]
+
+
+def _look(pair: StereoPair, size: int, max_disparity: float = math.inf) -> Look:
+    scale = min(1.0, size / max(pair.width, pair.height))
+    return look_at(pair.left_image, pair.right_image, scale, max_disparity)
+
+
+def _is_stacked(pair: StereoPair, start: Arrangement) -> bool:
+    """Whether a picture's upper and lower half have more in common than its left and right one."""
+    beside, stacked = (
+        _look(replace(start, top_bottom=layout)(pair), _LOOK_SIZE_PX // 2).matches
+        for layout in (False, True)
+    )
+    return stacked > 2 * beside
+
+
+def _after(finding: Finding, found: Arrangement, options: ViewOptions) -> Finding:
+    """A finding after what it is about was put right, or was overruled."""
+    if finding.check == "orientation" and (found.left or found.right):
+        advice = "it was turned; --rotate 0 leaves the views as they are"
+        return replace(finding, level="fixed", advice=advice)
+    if finding.check == "order" and found.swapped:
+        text = f"{finding.text}: the views were swapped, and have been exchanged"
+        advice = "if they were in order (cameras that converge): --order left-right"
+        return replace(finding, level="fixed", text=text, advice=advice)
+    if finding.check == "order" and finding.level == "problem" and options.order is not None:
+        advice = f"the views were taken as they are, as order {options.order} says"
+        return replace(finding, level="warning", advice=advice)
+    return finding
