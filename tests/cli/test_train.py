@@ -9,7 +9,7 @@ import pytest
         (["train", "RUN", "--set", "colour=red"], "no value 'colour'"),
         (["train", "RUN", "--set", "lr"], "'lr': write it as key=value"),
         (["train", "RUN", "--set", "lr=fast"], "lr must be a number, got 'fast'"),
-        (["train", "RUN", "--recipe", "fast"], "--recipe fast: there are dispnet-c-"),
+        (["train", "RUN", "--recipe", "fast"], "--recipe fast: there are deeppruner-"),
         (["train", "RUN", "--recipe", "paper-kitti2015"], "--root DIR"),
         (["train", "RUN", "--set", "model=msnet4d"], "unknown model"),
         (["train", "RUN", "--set", "net.max_disparity=100"], "multiple of 16"),

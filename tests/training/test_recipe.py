@@ -201,6 +201,8 @@ def test_published_schedules():
             "gwcnet-sceneflow": [1e-3] * 10 + [5e-4] * 2 + [2.5e-4] * 2 + [1.25e-4] * 2,
             "gwcnet-kitti2015": [1e-3] * 200 + [1e-4] * 100,
             "psmnet-sceneflow": [1e-3] * 10,
+            "deeppruner-sceneflow": [1e-3] * 20 + [7e-4] * 20 + [3e-4] * 20 + [1e-4] * 4,
+            "deeppruner-kitti2015": [1e-4] * 500 + [5e-5] * 500 + [1e-5] * 40,
             "ganet-kitti2015": [1e-3] * 400 + [1e-4] * 400,
             "mccnn-slow-kitti2015": [3e-3] * 11 + [3e-4] * 3,
         }.items():

@@ -13,14 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.errors import InputError
+from mobilestereonet.errors import InputError, check_multiple
 from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
 from mobilestereonet.nets.patch_match import candidate_volume, patch_match
 from mobilestereonet.nets.psmnet import FEATURES, POOLING, PyramidFeatures
@@ -79,11 +79,7 @@ class DeepPrunerConfig:
     """Fields that the authors' checkpoints do not tell, and what to know of them."""
 
     def __post_init__(self) -> None:
-        if self.max_disparity % self.scale or self.max_disparity < self.scale:
-            raise InputError(
-                f"max_disparity must be a positive multiple of {self.scale}, got "
-                f"{self.max_disparity}"
-            )
+        check_multiple("max_disparity", self.max_disparity, self.scale)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"seed must be 0 .. {MAX_SEED}, got {self.seed}")
 
@@ -181,32 +177,31 @@ class Refinement(nn.Module):
         return doubled(self.activation(residual + maps[-1]))
 
 
-_PAPER = (
-    "Duggal et al., DeepPruner: Learning Efficient Stereo Matching via Differentiable PatchMatch, "
-    "ICCV 2019"
-)
-_LICENCE = "Uber Non-Commercial License (code), CC BY-NC-SA 3.0 (weights): non-commercial use alone"
-_TRAINED_ON = "SceneFlow cleanpass (sampler patch_match); that and KITTI 2012 and 2015 (uniform)"
+_RELEASE: dict[str, Any] = {
+    "paper": "Duggal et al., DeepPruner: Learning Efficient Stereo Matching via Differentiable "
+    "PatchMatch, ICCV 2019",
+    "licence": "Uber Non-Commercial License (code), CC BY-NC-SA 3.0 (weights): non-commercial use "
+    "alone",
+    "trained_on": "SceneFlow cleanpass (sampler patch_match); that and KITTI 2012 and 2015 "
+    "(uniform)",
+    "recipes": ("deeppruner-sceneflow", "deeppruner-kitti2015"),
+}
 
 
 @register_model(
     "deeppruner-fast",
     config=DeepPrunerConfig(scale=8),
-    paper=_PAPER,
-    licence=_LICENCE,
     checkpoints="uber-research/DeepPruner on GitHub: DeepPruner-fast-sceneflow.tar "
     "(sampler=patch_match), DeepPruner-fast-kitti.tar (sampler=uniform)",
-    trained_on=_TRAINED_ON,
     published={"SceneFlow EPE, px": 0.97, "KITTI 2015 test D1-all, %": 2.59},
+    **_RELEASE,
 )
 @register_model(
     "deeppruner-best",
-    paper=_PAPER,
-    licence=_LICENCE,
     checkpoints="uber-research/DeepPruner on GitHub: DeepPruner-best-sceneflow.tar "
     "(sampler=patch_match), DeepPruner-best-kitti.tar (sampler=uniform)",
-    trained_on=_TRAINED_ON,
     published={"SceneFlow EPE, px": 0.86, "KITTI 2015 test D1-all, %": 2.15},
+    **_RELEASE,
 )
 class DeepPruner(RegressionModel):
     """PatchMatch, a predicted range for each pixel, and aggregation within it.
