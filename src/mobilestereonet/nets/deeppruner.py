@@ -211,12 +211,13 @@ class DeepPruner(RegressionModel):
     """
 
     config: DeepPrunerConfig
+    min_side = 4 * POOLING[-1]  # and 8 * 32 in the fast network
 
     def __init__(self, config: DeepPrunerConfig) -> None:
         super().__init__(config)
         fast = config.scale == 8
         windows = POOLING[:3] if fast else POOLING
-        self.min_side, self.size_multiple = config.scale * windows[-1], 8 * config.scale
+        self.size_multiple = 8 * config.scale
         # The refined ones, the final one first; the aggregated one; both ends of the range.
         self.head_weights = (*(1.6, 1.3)[-1 - fast :], 1.0, 0.7, 0.7)
         self.features = PyramidFeatures(windows, eighth=fast)
