@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from noise_pairs import centre
 
-from mobilestereonet.data import Calibration
+from mobilestereonet.data import Calibration, Rig
+from mobilestereonet.data.rig import Camera, CameraPair
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference import Rectifier, load_pair
 from mobilestereonet.streams import MAP_KINDS, MapFiles, find_pairs, match_pairs
 from mobilestereonet.streams.pairs import PairFiles
 
@@ -60,3 +62,15 @@ def test_every_kind_of_map_is_written_and_read_back(pairs, matcher, tmp_path):
         list(match_pairs(pairs[:1], matcher, files))
     with pytest.raises(InputError, match=r"got \['depth.exr'\]"):
         MapFiles(tmp_path, ("depth.exr",))
+
+
+def test_raw_pairs_are_rectified_and_have_depth(pairs, matcher, tmp_path):
+    camera = Camera(np.array([[300.0, 0, 60], [0, 300, 30], [0, 0, 1]]), np.zeros(0))
+    turned = cv2.Rodrigues(np.array([0.0, 0.0, 0.01]))[0]
+    rig = Rig((CameraPair(camera, camera, turned, np.array([-0.1, 0, 0])),))
+    files = MapFiles(tmp_path / "maps", ("depth.npy",))
+    rectifier = Rectifier(rig)
+    statuses = match_pairs(pairs[:1], matcher, files, rectifier=rectifier)
+    assert [status.problem for status in statuses] == [""]
+    expected = matcher.match(rectifier.pair(load_pair(pairs[0].left, pairs[0].right)))
+    np.testing.assert_array_equal(np.load(tmp_path / "maps/view_0_depth.npy"), expected.depth())

@@ -63,6 +63,12 @@ def test_each_frame_gets_its_own_map(sequence, matcher, tmp_path):
         assert np.median(centre(depth)) == pytest.approx(20_000 / (10 + index), rel=0.02)
 
 
+def test_frames_that_do_not_fit_the_rig_are_told(sequence, matcher, tmp_path):
+    stream = rectified(opened(sequence), focal=100, baseline=0.2, size=(8, 8))
+    with pytest.raises(InputError, match=r"no frame could be matched: .*of pictures of 8x8"):
+        match_video(stream, matcher, frames=MapFiles(tmp_path / "maps"))
+
+
 def test_a_broken_frame_is_reported_and_skipped(sequence, matcher, tmp_path):
     (sequence / "right" / "view_4.png").write_bytes(b"broken")
     maps, reported = MapFiles(tmp_path / "maps"), []
