@@ -360,7 +360,7 @@ def outputs() -> Iterator[Case]:
         )
     for name in ("w.safetensors", "folder.safetensors", "pipe.safetensors", "a.bin"):
         yield Case("outputs", ["average", "w.safetensors", "w.safetensors", "-o", name], _weights)
-    for name in ("left.png", "folder.png", "pipe.png", "v/l/a.png"):
+    for name in ("left.png", "folder.json", "folder.csv", "pipe.csv", "v/l/a.png"):
         for option in ("--json", "--csv", "--per-pair"):
             words = "evaluate --data folder --root v --set left=l/*.png --set right=r/*.png --set "
             words += f"disparity=d/*.pfm --model sgbm {option} {name}"

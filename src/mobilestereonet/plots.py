@@ -9,6 +9,7 @@ import csv
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.text import decode, shorten
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,6 +49,8 @@ _ERROR_COLOURS = np.array(
     dtype=np.uint8,
 )
 _PANEL_GAP_PX = 4
+_MAX_COLUMNS = 1000
+"""Columns of a run's log: more of them are none."""
 _TITLE_HEIGHT_PX = 24
 
 
@@ -278,18 +282,31 @@ def _curves(log: Path) -> dict[str, _Curve]:
 
     The logger writes a row per event and leaves the other columns empty.
     """
+    if not log.is_file():  # a pipe would wait for ever
+        raise InputError(f"{log}: not a file")
     curves: dict[str, _Curve] = defaultdict(lambda: ([], []))
-    with log.open(newline="") as file:
-        for row in csv.DictReader(file):
+    rows = csv.DictReader(StringIO(decode(log.read_bytes(), str(log)), newline=""))
+    try:
+        if len(rows.fieldnames or ()) > _MAX_COLUMNS:
+            raise InputError(f"{log}: more than {_MAX_COLUMNS} columns are no log of a run")
+        for row in rows:
             step = row.pop("step", None)
             for column, cell in row.items():
-                if step and cell and column != "epoch":
-                    try:
-                        curves[column][1].append(float(cell))
-                    except ValueError:
-                        raise InputError(f"{log}: {column} holds {cell!r}, no number") from None
-                    curves[column][0].append(float(step))
+                if step and cell and column and column != "epoch":
+                    at, value = _number(log, "step", step), _number(log, column, cell)
+                    steps, values = curves[column.replace("$", r"\$")]  # no mathematics
+                    steps.append(at)
+                    values.append(value)
+    except csv.Error as error:
+        raise InputError(f"{log}: not a CSV log: {error}") from None
     return curves
+
+
+def _number(log: Path, column: str, cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise InputError(f"{log}: {column} holds {shorten(repr(cell))}, no number") from None
 
 
 def _array(values: MapLike) -> NDArray[Any]:

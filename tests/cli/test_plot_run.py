@@ -2,6 +2,7 @@ import cv2
 import pytest
 
 from mobilestereonet.cli.plot_run import plot_run
+from mobilestereonet.errors import InputError
 
 
 def _log(folder, version, rows):
@@ -25,5 +26,22 @@ def test_all_starts_of_a_run(tmp_path, capsys):
 
 def test_no_run(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"metrics\.csv"):
+        plot_run(tmp_path)
+    assert not (tmp_path / "curves.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        (b"step,loss\n1,\xff\n", "not a text file"),
+        (b"step,loss\nx,1\n", "step holds 'x', no number"),
+        (b"step,loss\n1," + b"9" * 200_000, "not a CSV log"),
+        (b"step" + b",c" * 2000 + b"\n1\n", "more than 1000 columns"),
+    ],
+)
+def test_a_log_that_is_none(tmp_path, log, words):
+    (tmp_path / "csv/version_0").mkdir(parents=True)
+    (tmp_path / "csv/version_0/metrics.csv").write_bytes(log)
+    with pytest.raises(InputError, match=words):
         plot_run(tmp_path)
     assert not (tmp_path / "curves.png").exists()

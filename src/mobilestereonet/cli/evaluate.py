@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import assignment, data_sets, one_of
+from mobilestereonet.cli.early import assignment, data_sets, ends_in, one_of
 from mobilestereonet.cli.engine import MatcherOptions, Precision
 from mobilestereonet.cli.options import DataRoot
 from mobilestereonet.errors import InputError
@@ -64,13 +64,23 @@ def evaluate(
     ] = None,
     json: Annotated[
         Path | None,
-        typer.Option(help="JSON file for all figures, those of each pair too: a list of models."),
+        typer.Option(
+            help="JSON file for all figures, those of each pair too: a list of models.",
+            callback=ends_in([".json"], "all figures are"),
+        ),
     ] = None,
     csv: Annotated[
-        Path | None, typer.Option(help="CSV file: means and medians, one row per model.")
+        Path | None,
+        typer.Option(
+            help="CSV file: means and medians, one row per model.",
+            callback=ends_in([".csv"], "tables are"),
+        ),
     ] = None,
     per_pair: Annotated[
-        Path | None, typer.Option(help="CSV file, a row per model and pair.")
+        Path | None,
+        typer.Option(
+            help="CSV file, a row per model and pair.", callback=ends_in([".csv"], "tables are")
+        ),
     ] = None,
 ) -> None:
     """Score models on a data set: EPE, D1 and bad-t over all its masks."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Generator, Sequence
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -52,9 +53,11 @@ def _open(source: str) -> Any:
     logging = cv2.utils.logging
     level = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # the backends that do not know the source warn
-    capture = cv2.VideoCapture(int(source) if _is_number(source) else source)
+    capture = None
+    with suppress(cv2.error, OverflowError, UnicodeError):  # a number or a name beyond its reach
+        capture = cv2.VideoCapture(int(source) if _is_number(source) else source)
     logging.setLogLevel(level)
-    if not capture.isOpened():
+    if capture is None or not capture.isOpened():
         raise InputError(
             f"{source}: OpenCV cannot open this capture; is the camera connected and free, or the "
             "address right?"

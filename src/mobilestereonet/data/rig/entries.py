@@ -15,7 +15,7 @@ import numpy as np
 
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.errors import InputError
-from mobilestereonet.text import decode, parse_json, parse_yaml
+from mobilestereonet.text import decode, parse_json, parse_yaml, shorten
 
 Entries: TypeAlias = dict[str, Any]
 """Names and values: numbers, texts, arrays, lists, and entries in turn."""
@@ -78,8 +78,17 @@ def _read_text(text: str) -> Entries:
     if _SECTION.search(text):
         return _read_sections(text)
     if _MIDDLEBURY.search(text) or _KITTI.search(text):
-        return dict(_LINE.findall(text))
+        return _lines(text)
     return _read_yaml(text)
+
+
+def _lines(text: str) -> Entries:
+    found: Entries = {}
+    for name, value in _LINE.findall(text):
+        if found.setdefault(name, value) != value:
+            told = f"{shorten(found[name])} and {shorten(value)}"
+            raise InputError(f"{name} is given twice, as {told}: leave one of them out")
+    return found
 
 
 def _read_storage(text: str) -> Entries:
