@@ -216,7 +216,7 @@ def values() -> Iterator[Case]:
 def settings() -> Iterator[Case]:
     """Values of networks, recipes and scenes."""
     for value in (
-        *("hourglasses=100000", "hourglasses=-1", "hourglasses=1.5", "hourglasses=x", "channels=1"),
+        *("hourglasses=100000", "hourglasses=-1", "hourglasses=1.5", "hourglasses=x", "width=1"),
         *("max_disparity=-1", "max_disparity=1000000000", "max_disparity=17", "estimator=x"),
         *("estimator=", "estimator=null", "=3", "colour=red", "hourglasses=NaN", "planes=[1,2]"),
         *(f"hourglasses={'9' * 5000}", f"hourglasses={'[' * 5000}", "hourglasses={}"),
@@ -399,7 +399,7 @@ def weights() -> Iterator[Case]:
     }
     for config in (
         *(
-            '{"channels": 100000000}',
+            '{"width": 100000000}',
             '{"hourglasses": 100000}',
             "[",
             "[]",

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.limits import check_size
 from mobilestereonet.nets.model import StereoModel
 from mobilestereonet.settings import differences, override
 
@@ -189,7 +190,18 @@ def build_model(name: str, /, **overrides: Any) -> StereoModel:
         FileNotFoundError: See `model_info`.
         InputError: If the name or a field is unknown, or a value is refused.
     """
-    return model_info(name).network(model_config(name, **overrides))
+    network, named, config = (
+        model_info(name).network,
+        model_config(name),
+        model_config(name, **overrides),
+    )
+    if any(_is_more(value, getattr(named, key, 0)) for key, value in overrides.items()):
+        check_size(network, config, name)
+    return network(config)
+
+
+def _is_more(value: Any, default: Any) -> bool:
+    return isinstance(value, int) and (not isinstance(default, int) or value > default)
 
 
 def is_model(config: Any, name: str) -> bool:

@@ -1,0 +1,57 @@
+"""Limits of a network's size, checked before it is built."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn.modules.module import (
+    register_module_module_registration_hook,
+    register_module_parameter_registration_hook,
+)
+
+from mobilestereonet.errors import InputError
+from mobilestereonet.nets.model import StereoModel
+
+MAX_MODULES = 20_000
+"""Layers of a network, and modules that hold them: several times those of the largest here."""
+
+MAX_PARAMETERS = 500_000_000
+"""Parameters of a network, 2 GB: more than any for stereo matching has."""
+
+
+def check_size(network: type[StereoModel], config: Any, name: str) -> None:
+    """Check that a network is of a size that anybody runs, before it is built and fills the memory.
+
+    Raises:
+        InputError: If it has more than `MAX_MODULES` or `MAX_PARAMETERS`.
+    """
+    modules = parameters = 0
+
+    def count_module(*_: Any) -> None:
+        nonlocal modules
+        modules += 1
+        refuse_above(modules, MAX_MODULES, "layers")
+
+    def count_parameter(module: nn.Module, key: str, value: nn.Parameter | None) -> None:
+        nonlocal parameters
+        parameters += 0 if value is None else value.numel()
+        refuse_above(parameters, MAX_PARAMETERS, "parameters")
+
+    def refuse_above(count: int, limit: int, what: str) -> None:
+        if count > limit:
+            raise InputError(
+                f"{name} with these values has more than {limit:,} {what}: take smaller ones"
+            )
+
+    hooks = (
+        register_module_module_registration_hook(count_module),
+        register_module_parameter_registration_hook(count_parameter),
+    )
+    try:
+        with torch.device("meta"):  # tensors without values
+            network(config)
+    finally:
+        for hook in hooks:
+            hook.remove()
