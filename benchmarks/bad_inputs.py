@@ -188,10 +188,12 @@ def values() -> Iterator[Case]:
         for option, other in (("--focal", "--baseline"), ("--baseline", "--focal")):
             words = [*PREDICT.split(), *depth, other, "100" if other == "--focal" else "0.1"]
             yield Case("numbers", [*words, option, number])
-        good = number in ("0",)
+        good = number == "0"
         words = [*PREDICT.split(), *depth, *CAMERA.split()]
-        yield Case("numbers", [*words, "--doffs", number], good=good)
-        yield Case("numbers", [*words, "--max-depth", number], good=number in ("inf", "1e308"))
+        yield Case("numbers", [*words, "--doffs", number], good=number in ("0", "-1", "1e-320"))
+        yield Case(
+            "numbers", [*words, "--max-depth", number], good=number in ("inf", "1e308", NUMBERS[-1])
+        )
         yield Case("numbers", [*words, "--min-confidence", number], good=good)
         for option in ("--threads", "--max-disparity"):
             yield Case("numbers", [*words, option, number])
@@ -216,7 +218,7 @@ def values() -> Iterator[Case]:
 def settings() -> Iterator[Case]:
     """Values of networks, recipes and scenes."""
     for value in (
-        *("hourglasses=100000", "hourglasses=-1", "hourglasses=1.5", "hourglasses=x", "width=1"),
+        *("hourglasses=100000", "hourglasses=-1", "hourglasses=1.5", "hourglasses=x", "width=0"),
         *("max_disparity=-1", "max_disparity=1000000000", "max_disparity=17", "estimator=x"),
         *("estimator=", "estimator=null", "=3", "colour=red", "hourglasses=NaN", "planes=[1,2]"),
         *(f"hourglasses={'9' * 5000}", f"hourglasses={'[' * 5000}", "hourglasses={}"),

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _SOURCES = (
     "Name of a model (see msnet models), weights file or folder, org/name on the Hugging Face hub"
 )
+_MAX_THREADS = 1024
+"""Threads above which OpenMP may end the process for want of memory."""
 _DEFAULT = "Default: what the weights hold, else that of the quality balanced."
 
 
@@ -88,7 +90,8 @@ Precision: TypeAlias = Annotated[
     ),
 ]
 Threads: TypeAlias = Annotated[
-    int | None, typer.Option(min=1, help="Threads on a CPU. Default: the engine's choice.")
+    int | None,
+    typer.Option(min=1, max=_MAX_THREADS, help="Threads on a CPU. Default: the engine's choice."),
 ]
 Device: TypeAlias = Annotated[
     str,

@@ -89,6 +89,8 @@ def predict(
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
     if calibration is not None and depth_files:
         metres = result.depth(calibration)
+        if not metres.any():
+            print("msnet: no pixel has a depth: see the limits and the cameras", file=sys.stderr)
         for file in depth_files:
             write_depth(file, metres)
             _list(files, f"depth{file.suffix}", file)
