@@ -367,7 +367,9 @@ def outputs() -> Iterator[Case]:
             words = "evaluate --data folder --root v --set left=l/*.png --set right=r/*.png --set "
             words += f"disparity=d/*.pfm --model sgbm {option} {name}"
             yield Case(
-                "outputs", words.split(), lambda folder: (_views(folder), _places(".png")(folder))
+                "outputs",
+                words.split(),
+                lambda folder, n=name: (_views(folder), _places(Path(n).suffix)(folder)),
             )
 
 
@@ -498,7 +500,7 @@ def truths() -> Iterator[Case]:
             ["plot-run", "run"],
             lambda folder, b=log: _run(folder, b),
             name=name,
-            good=name == "dollar",
+            good=name in ("dollar", "infinite"),
         )
     for name in (
         "text.mp4",
