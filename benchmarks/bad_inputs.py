@@ -605,7 +605,7 @@ def run(case: Case, pair: Path) -> tuple[str, str]:
                 main()
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 1
-        except TimeoutError:
+        except _Hang:
             return "hangs", ""
         except BaseException as error:  # what main lets through
             return "tracebacks", repr(error)
@@ -626,8 +626,12 @@ def run(case: Case, pair: Path) -> tuple[str, str]:
         return ("told" if "msnet:" in said else "silently wrong"), said
 
 
+class _Hang(BaseException):
+    """Nothing that the command line would take for an error of its own."""
+
+
 def _hang(*_: object) -> None:
-    raise TimeoutError
+    raise _Hang
 
 
 def _state(folder: Path) -> dict[Path, object]:

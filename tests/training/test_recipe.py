@@ -39,6 +39,10 @@ def test_an_older_recipe_takes_defaults(tmp_path):
     ("text", "words"),
     [
         ("{", "not a recipe"),
+        ('{"steps": 1, "scenes": {"height": 10000000}}', "must be at most 16384"),
+        ('{"steps": 1, "augment": {"width": 10000000}}', "must be at most 16384"),
+        ('{"steps": 1, "augment": {"patch": [9, 1]}}', "patch must be a range"),
+        ('{"steps": 1, "cross_entropy": -1}', "must not be negative"),
         ("[1, 2]", "recipe must be a JSON object with some of model, net, data"),
         ('{"steps": 1, "colour": "red"}', "no value 'colour'"),
         ('{"steps": 1, "lr": "fast"}', "lr must be a number, got 'fast'"),

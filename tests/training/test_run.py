@@ -131,6 +131,7 @@ def test_a_coarse_pass_starts_from_weights_without_one(tmp_path):
         ({"precision": "fp99"}, "Precision 'fp99'"),
         ({"max_time": "3h"}, "DD:HH:MM:SS"),
         ({"resume": True}, "nothing to resume"),
+        ({"recipe": replace(RECIPE, batch_size=10**6)}, "a batch_size of 1000000 with crops of"),
         ({"recipe": replace(RECIPE, model="msnet4d")}, "unknown model"),
         ({"recipe": replace(RECIPE, data="kitti2015")}, "--root"),
         ({"recipe": replace(RECIPE, root="pairs")}, "root is .*pairs: choose a data set"),

@@ -15,6 +15,9 @@ from torch import Tensor
 from mobilestereonet.data.sample import StereoSample, collate
 from mobilestereonet.errors import InputError, needs_extra
 
+MAX_SIDE_PX = 16_384
+"""Height and width of a crop above which it would fill the memory."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AugmentConfig:
@@ -81,6 +84,11 @@ class AugmentConfig:
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise InputError(f"augment: {name} must be positive, got {value}")
+            if value is not None and value > MAX_SIDE_PX:
+                raise InputError(f"augment: {name} must be at most {MAX_SIDE_PX}, got {value}")
+        for name, value in vars(self).items():
+            if isinstance(value, tuple) and not value[0] <= value[-1]:
+                raise InputError(f"augment: {name} must be a range, got {value}")
 
 
 def geometry_only(config: AugmentConfig) -> AugmentConfig:

@@ -17,6 +17,10 @@ MAX_OBJECTS = 10_000
 """Largest number of floating objects: more take too much memory to render."""
 
 
+MAX_SIDE_PX = 16_384
+"""Height and width of a scene's views above which they would fill the memory."""
+
+
 @dataclass(frozen=True)
 class SceneConfig:
     """Settings of procedural scenes.
@@ -74,6 +78,11 @@ class SceneConfig:
                 raise InputError(
                     f"scenes: {name} must be at least {least}, got {getattr(self, name)}"
                 )
+        if max(self.height, self.width) > MAX_SIDE_PX:
+            raise InputError(
+                f"scenes: height and width must be at most {MAX_SIDE_PX}, got {self.height} and "
+                f"{self.width}"
+            )
         low, high = DISPARITY_RANGE_PX
         if not low <= self.min_disparity <= self.max_disparity <= high:
             raise InputError(

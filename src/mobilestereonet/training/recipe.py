@@ -180,6 +180,9 @@ class Recipe:
                 "recipe: a teacher needs cross_entropy > 0, the weight of its distribution, got "
                 f"{self.cross_entropy}: set it, such as cross_entropy=5"
             )
+        for name in ("cross_entropy", "volume_cross_entropy"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"recipe: {name} must not be negative, got {getattr(self, name)}")
         if not 0 <= self.ema < 1:
             raise InputError(f"recipe: ema must be in 0 <= ema < 1, got {self.ema}")
         if not 0 <= self.seed < 1 << 32:
@@ -190,6 +193,12 @@ class Recipe:
                 "recipe: schedule needs points (share, factor) with shares that rise in 0..1, "
                 f"got {self.schedule}"
             )
+
+    @property
+    def crop_pixels(self) -> int:
+        """Pixels of a view that the network is trained on; of scenes where there is no crop."""
+        height = self.augment.height or self.scenes.height
+        return height * (self.augment.width or self.scenes.width)
 
     @property
     def seconds(self) -> float | None:

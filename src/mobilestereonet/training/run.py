@@ -50,6 +50,9 @@ with needs_extra("train"):
     from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
     from lightning.pytorch.utilities import rank_zero_info, rank_zero_only
 
+_MAX_BATCH_PIXELS = 1 << 29
+"""Pixels of all views of one side in a batch: 6 GB as float32 RGB."""
+
 _STOPPING = "Stopping after this step; Ctrl-C again stops at once"
 
 
@@ -109,6 +112,11 @@ def train(
         raise InputError(f"{started} processes were started for {num_nodes} x {devices} devices")
     recipe = recipe.with_absolute_paths()
     before = _recipe_before(recipe, folder, last, resume)
+    if recipe.batch_size * recipe.crop_pixels > _MAX_BATCH_PIXELS:
+        raise InputError(
+            f"recipe: a batch_size of {recipe.batch_size} with crops of {recipe.crop_pixels:,} "
+            "pixels fills any memory: take smaller ones"
+        )
     if not resume:  # which reads neither
         note_inputs(*filter(None, (recipe.weights, recipe.teacher)))
     check_outputs(last, folder / "recipe.json", folder / "weights.safetensors")
