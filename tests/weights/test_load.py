@@ -1,6 +1,7 @@
 """What `load_model` takes a name for, and folders in the hub's layout."""
 
 import json
+import os
 import re
 import sys
 from pathlib import Path
@@ -152,3 +153,9 @@ def test_the_hub_reads_the_figures_of_a_page(name):
     for row in rows:
         assert figures[row["pair"], "epe"] == row["epe_px"]
         assert figures[row["pair"], "d1"] == row["d1_percent"]
+
+
+def test_a_pipe_is_no_weights_file(tmp_path):
+    os.mkfifo(tmp_path / "a.ckpt")
+    with pytest.raises(InputError, match=r"a\.ckpt is a device or a pipe"):
+        load_model(tmp_path / "a.ckpt")

@@ -125,6 +125,8 @@ def _find(name: str | Path, revision: str | None) -> WeightsFile:
 
 
 def _read_file(path: Path) -> WeightsFile:
+    if not path.is_file():  # a pipe would wait for ever
+        raise InputError(f"{path} is a device or a pipe, not a weights file")
     if path.suffix in _UNREADABLE or re.search(r"\.data-\d+-of-\d+$", path.name):
         kind = _UNREADABLE.get(path.suffix, "a TensorFlow snapshot")
         raise InputError(
