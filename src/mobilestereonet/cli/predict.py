@@ -52,6 +52,7 @@ def predict(
 ) -> None:
     """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
     import json
+    import sys
     from dataclasses import asdict
 
     depth_files, point_files = depth or [], points or []
