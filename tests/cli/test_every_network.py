@@ -37,9 +37,9 @@ LARGE_VIEWS = [name for name in NAMES if model_info(name).network.min_side > HEI
 EXPORTABLE = [name for name in NAMES if model_info(name).network.exportable]
 SMALL = {"width": 8, "hidden_width": 8, "stem": 8, "hourglasses": 1, "groups": 8, "passes": 1}
 
-slow_with_large_views = pytest.mark.parametrize(
+large_views_apart = pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in LARGE_VIEWS else ()) for n in NAMES],
+    [pytest.param(n, marks=pytest.mark.exhaustive if n in LARGE_VIEWS else ()) for n in NAMES],
 )
 
 
@@ -119,7 +119,7 @@ def test_what_needs_scores_is_refused_where_there_are_none(name, weights, msnet)
     assert sure.shape == (HEIGHT, WIDTH) and (sure >= 0).all() and (sure <= 1).all()
 
 
-@slow_with_large_views
+@large_views_apart
 def test_evaluate(name, weights, msnet):
     command = ("evaluate", "--data", "folder", "--root", ".", "--set", "disparity=disparity/*.npy")
     code, _, err = msnet(*command, "--weights", weights(name), "--json", "figures.json")
@@ -128,7 +128,7 @@ def test_evaluate(name, weights, msnet):
     assert figures["masks"]["all"]["pixels"] == HEIGHT * WIDTH
 
 
-@slow_with_large_views
+@large_views_apart
 def test_bench(name, weights, msnet, monkeypatch):
     net = build(name)
     if net.exportable:  # tests of the engines convert networks, which takes seconds
@@ -170,7 +170,7 @@ def test_average(name, weights, msnet):
     torch.testing.assert_close(mean[key], own[key] + 0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [name for name in EXPORTABLE if name not in LARGE_VIEWS])
 def test_export_onnx(name, weights, msnet):
     need_extra("onnx")
@@ -204,7 +204,7 @@ def scene():
 
 
 @pytest.mark.filterwarnings("ignore")
-@slow_with_large_views
+@large_views_apart
 def test_a_step_of_training_lowers_the_loss_on_its_batch(name, scene):
     net = build(name)
     size = {"height": fitting_side(net, HEIGHT), "width": fitting_side(net, WIDTH)}

@@ -1,11 +1,8 @@
 """Parity at the second size of the networks with cost volumes, where the larger fixtures are.
 
-    MSNET_EVERY_FIXTURE=1 pytest tests/nets/test_every_fixture.py
-
-It takes more than a minute, so that the suite as a whole leaves it out.
+    pytest -m exhaustive tests/nets/test_every_fixture.py
 """
 
-import os
 import re
 
 import numpy as np
@@ -30,8 +27,7 @@ FIXTURES = [
 
 
 @needs_shared
-@pytest.mark.slow
-@pytest.mark.skipif(os.environ.get("MSNET_EVERY_FIXTURE") != "1", reason="takes minutes")
+@pytest.mark.exhaustive
 @torch.inference_mode()
 @pytest.mark.parametrize("fixture", FIXTURES)
 def test_equals_the_authors_network_at_the_second_size(fixture):
