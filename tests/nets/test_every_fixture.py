@@ -1,6 +1,6 @@
 """Parity at the second size of the networks with cost volumes, where the larger fixtures are.
 
-    pytest -m exhaustive tests/nets/test_every_fixture.py
+pytest -m exhaustive tests/nets/test_every_fixture.py
 """
 
 import re
