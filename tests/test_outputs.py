@@ -168,7 +168,7 @@ def test_two_files_of_one_ending_are_both_listed(msnet, tmp_path):
         write_png(view, np.random.default_rng(0).integers(0, 255, (32, 64), dtype=np.uint8))
     files = [tmp_path / name for name in ("a.npy", "b.npy", "c.png")]
     depth = [word for file in files for word in ("--depth", file)]
-    options = ("--model", "sgbm", "--focal", 100, "--baseline", 1, *depth)
+    options = ("--model", "sgbm", "--focal", 100, "--baseline", 1, "--force", *depth)
     code, out, _ = msnet("predict", left, right, "-o", tmp_path, *options)
     assert code == 0
     assert all(str(file) in out.splitlines() for file in files)

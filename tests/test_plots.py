@@ -163,7 +163,7 @@ def test_starts_of_a_run_share_colour_and_label(tmp_path, figures):
 
 def test_curves_of_bad_logs(tmp_path):
     log = tmp_path / "metrics.csv"
-    with pytest.raises(FileNotFoundError, match=r"metrics\.csv"):
+    with pytest.raises(InputError, match=r"metrics\.csv: not a file"):
         plot_curves([log], tmp_path / "curves.png")
     log.write_text("step,epoch\n1,0\n")
     with pytest.raises(InputError, match="no curve"):

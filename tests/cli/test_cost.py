@@ -110,7 +110,7 @@ def test_tables(msnet, tmp_path):
     ("arguments", "message"),
     [
         (("--model", "nonet"), "nonet"),
-        (("--set", "net.colour=1"), "model msnet3d has no value 'colour'"),
+        (("--set", "net.colour=1"), "networks have no value 'colour': `msnet models NAME` shows"),
         (("--set", "width=16"), "--set width=16: write it as net.width=16"),
         (("--set", "net.width=wide"), "width must be a whole number"),
         (("--set", "net.v2_skip=2"), "v2_skip must be true or false"),

@@ -117,8 +117,8 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
         ({"--weights": "left.png"}, "left.png: not a whole safetensors file"),
         ({"--weights": "cut.pth"}, "cut.pth: not a readable PyTorch checkpoint"),
         ({"--weights": "foreign.pth"}, "foreign.pth: .*of no registered network"),
-        ({"-o": "text.txt"}, "text.txt: no files can be written there"),
-        ({"-o": "text.txt/below"}, "text.txt/below: no files can be written there"),
+        ({"-o": "text.txt"}, "text.txt/left_disparity.png: cannot be written"),
+        ({"-o": "text.txt/below"}, "text.txt/below/left_disparity.png: cannot be written"),
     ],
 )
 def test_bad_input_ends_with_one_line_and_writes_nothing(

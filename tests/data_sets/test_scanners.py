@@ -528,7 +528,9 @@ def test_pair_folder_wildcards_and_scale(tmp_path):
     check_disparity(open_data_set("folder", tmp_path, scale=4, **options)[0], 7.5)
     with pytest.raises(InputError, match="needs its scale"):
         open_data_set("folder", tmp_path, **options)[0]
-    for wrong in (0, -4, float("nan")):
+    with pytest.raises(InputError, match="scale must be a number or null, got nan"):
+        open_data_set("folder", tmp_path, scale=float("nan"), **options)
+    for wrong in (0, -4):
         with pytest.raises(InputError, match=r"D1\.png: its scale .* must be positive"):
             open_data_set("folder", tmp_path, scale=wrong, **options)[0]
 

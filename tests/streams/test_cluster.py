@@ -14,6 +14,7 @@ from noise_pairs import centre, make_pair
 from extras import need_extra
 from mobilestereonet import StereoMatcher
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.arrangement import AS_GIVEN
 from mobilestereonet.streams import MapFiles, find_pairs, match_on_ray, match_pairs
 from mobilestereonet.streams.cluster import _Worker
 
@@ -92,7 +93,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_stays(tmp_path):
 def test_a_worker_keeps_opencv_to_its_cores(tmp_path):
     before = cv2.getNumThreads()
     try:
-        _Worker([], MapFiles(tmp_path), lambda: None, before + 1)
+        _Worker([], MapFiles(tmp_path), lambda: None, before + 1, None, AS_GIVEN)
         assert cv2.getNumThreads() == before + 1
     finally:
         cv2.setNumThreads(before)

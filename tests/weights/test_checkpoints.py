@@ -217,5 +217,5 @@ def test_a_checkpoint_of_a_run(tmp_path, flat):
     with pytest.raises(InputError, match=r"last.ckpt: holds msnet3d, not msnet2d"):
         load_model(path, model="msnet2d")
     (tmp_path / "recipe.json").write_text("[")
-    with pytest.raises(InputError, match=r"recipe.json: not a recipe"):
+    with pytest.raises(InputError, match=r"recipe\.json: no JSON"):
         load_model(path)

@@ -210,7 +210,7 @@ def check_network_values(model: str | None, names: Collection[str]) -> None:
         return
     for name in names:
         if name not in (known := network_fields()):
-            near = difflib.get_close_matches(name, known, n=1)
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
             hint = f"did you mean {near[0]}?" if near else "`msnet models NAME` shows those of one"
             raise InputError(f"networks have no value {name!r}: {hint}")
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-CONVERSION_VERSION = 2
+CONVERSION_VERSION = 3
 """Part of every conversion's key in the cache.
 
 To be raised when the conversion of an unchanged network changes: by `accelerate`'s form for export,
@@ -197,7 +197,7 @@ class ConvertedEngine(NetworkEngine):
                     "use engine torch"
                 ) from error
         if kept:
-            with suppress(OSError):
+            with suppress(OSError, InputError):  # a cache that cannot be written is done without
                 write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
                 _forget_old(self._cache, self.name)
         return self._load(model)
