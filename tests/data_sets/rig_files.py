@@ -211,6 +211,20 @@ def realsense(folder, c):
     return path
 
 
+def named_numbers(folder, c):
+    """Distortion as named numbers, beside the matrix of one camera and below that of the other."""
+    lens = dict(zip(("k1", "k2", "p1", "p2"), c.distortion.tolist(), strict=True))
+    matrix = {"fx": FOCAL, "fy": FOCAL, "cx": CX, "cy": CY}
+    pose = {"rotation": c.rotation.T.ravel().tolist(), "translation": c.translation.tolist()}
+    sides = {
+        "left": matrix | lens,
+        "right": {"projection_parameters": matrix, "distortion_parameters": lens},
+    }
+    path = folder / "named.json"
+    path.write_text(json.dumps(sides | {"extrinsics": pose}))
+    return path
+
+
 def realsense_table(folder, c):
     table = {"baseline": "-120"}
     for index, factor in enumerate((2, 1)):
@@ -266,6 +280,7 @@ RAW_FORMATS = OPENCV | {
     "zed": zed,
     "oak": oak,
     "realsense": realsense,
+    "named numbers": named_numbers,
 }
 """Formats that tell about raw pictures."""
 

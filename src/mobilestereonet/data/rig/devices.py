@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mobilestereonet.data.rig.cameras import Camera, Matrix, Size, checked_rotation
+from mobilestereonet.data.rig.cameras import Camera, Size, checked_rotation
 from mobilestereonet.data.rig.description import (
     Description,
     Geometry,
@@ -17,7 +17,7 @@ from mobilestereonet.data.rig.description import (
     pair_of,
 )
 from mobilestereonet.data.rig.entries import Entries
-from mobilestereonet.data.rig.lenses import camera_of
+from mobilestereonet.data.rig.lenses import camera_of, named_coefficients
 from mobilestereonet.data.rig.rectified import from_cameras
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.rig.values import listed, matrix_of, number_of, size_of
@@ -39,8 +39,6 @@ _ZED_CAMERA = re.compile(r"LEFT_CAM_(\w+)")
 _RECTIFIED = re.compile(r"rectified\.(\d+)\.fx")
 _OAK_MODELS = {0: "perspective", 1: "fisheye"}
 _OAK_SOCKETS = (1, 2)
-_LEFT = re.compile(r"left|(infra(red)?|ir|cam(era)?)_?1$|_l$", re.IGNORECASE)
-_RIGHT = re.compile(r"right|(infra(red)?|ir|cam(era)?)_?2$|_r$", re.IGNORECASE)
 
 
 def is_zed(entries: Entries) -> bool:
@@ -85,11 +83,7 @@ def read_zed(entries: Entries, told: Told) -> Description:
 
 def _zed_camera(section: Entries, told: Told) -> Camera:
     matrix = matrix_of_numbers(*(number_of(section, name) for name in ("fx", "fy", "cx", "cy")))
-    names = ["k1", "k2", "p1", "p2", "k3"]
-    if "k4" in section:
-        names += ["k4", "k5", "k6"]
-    distortion = np.array([number_of(section, name, 0) for name in names])
-    return camera_of(matrix, distortion, "plumb_bob", told)
+    return camera_of(matrix, named_coefficients(section), "plumb_bob", told)
 
 
 def read_oak(entries: Entries, told: Told) -> Description:
@@ -182,75 +176,3 @@ def read_realsense_table(entries: Entries, told: Told) -> Description:
             matrix = matrix_of_numbers(*(values[name] for name in ("fx", "fy", "ppx", "ppy")))
             geometries.append(from_cameras(matrix, matrix, baseline, 0.0, size))
     return Description(tuple(geometries))
-
-
-def find_intrinsics(entries: Entries, name: str = "") -> dict[str, Entries]:
-    """Entries that hold a camera as named numbers (``fx``, ``fy``, ``ppx`` or ``cx`` ...)."""
-    if "fx" in entries and not entries.keys().isdisjoint(("ppx", "cx")):
-        return {name: entries}
-    found: dict[str, Entries] = {}
-    for key, value in entries.items():
-        if isinstance(value, dict):
-            found |= find_intrinsics(value, str(key) if key != "intrinsics" else name)
-    return found
-
-
-def read_intrinsics(entries: Entries, told: Told) -> Description:
-    """Rig from the intrinsics of two cameras as named numbers, as librealsense has them.
-
-    The cameras are ``left`` and ``right``, or ``infrared1`` and ``infrared2``; ``extrinsics`` has
-    ``rotation`` (column by column) and ``translation``, or ``baseline`` is a number.
-
-    Raises:
-        InputError: If a value is missing or impossible.
-    """
-    found = find_intrinsics(entries)
-    left, right = (
-        [camera for name, camera in found.items() if side.search(name)] for side in (_LEFT, _RIGHT)
-    )
-    if len(found) == 1 and not right:
-        left = right = list(found.values())
-    if len(left) != 1 or len(right) != 1:
-        raise InputError(
-            f"which cameras are left and right? It has {listed(found)}: call them left and right"
-        )
-    cameras = [_numbered_camera(one[0], told) for one in (left, right)]
-    pose = _extrinsics(entries)
-    if pose.is_to_the_left:  # infrared 1 is the left one: it is the way from right to left
-        pose = pose.inverse()
-    size = one_size(cameras[0][1], cameras[1][1])
-    return Description((pair_of(cameras[0][0], cameras[1][0], pose, told, "m", size),))
-
-
-def _numbered_camera(entries: Entries, told: Told) -> tuple[Camera, Size | None]:
-    matrix = matrix_of_numbers(
-        number_of(entries, "fx"),
-        number_of(entries, "fy"),
-        number_of(entries, ("ppx", "cx")),
-        number_of(entries, ("ppy", "cy")),
-    )
-    names = ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs", "D")
-    name = next((n for n in names if n in entries), None)
-    distortion = np.zeros(0) if name is None else matrix_of(entries, name, (-1,))
-    model = str(entries.get("model", entries.get("distortion_model", ""))).rpartition(".")[2]
-    size = size_of(number_of(entries, "width", 0), number_of(entries, "height", 0))
-    if len(distortion) == 5 and re.search("kannala|fisheye", model):  # the fifth one is unused
-        distortion = distortion[:4]
-    return camera_of(matrix, distortion, model, told), size
-
-
-def _extrinsics(entries: Entries) -> Pose:
-    """The pose of one camera in the other one's frame; the baseline alone if that is all."""
-    for name, value in entries.items():
-        if isinstance(value, dict) and {"rotation", "translation"} <= value.keys():
-            rotation = _column_by_column(value["rotation"], name)
-            translation = matrix_of(value, "translation", (3,))
-            return Pose(rotation, translation)
-    baseline = abs(number_of(entries, ("baseline", "stereo_baseline"), 0))
-    return Pose(np.eye(3), np.array([-baseline, 0, 0]))
-
-
-def _column_by_column(value: Any, name: str) -> Matrix:
-    nested = isinstance(value, list) and len(value) == 3
-    rotation = matrix_of({f"rotation of {name}": value}, f"rotation of {name}", (3, 3))
-    return checked_rotation(rotation if nested else rotation.T, f"rotation of {name}")

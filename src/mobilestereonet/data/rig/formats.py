@@ -9,17 +9,16 @@ from mobilestereonet.data.rig.camera_info import PROJECTION, is_camera_info, pai
 from mobilestereonet.data.rig.data_sets import is_kitti, is_middlebury, read_kitti, read_middlebury
 from mobilestereonet.data.rig.description import Description
 from mobilestereonet.data.rig.devices import (
-    find_intrinsics,
     is_oak,
     is_realsense_table,
     is_zed,
-    read_intrinsics,
     read_oak,
     read_realsense_table,
     read_zed,
 )
 from mobilestereonet.data.rig.entries import Entries, read_entries
 from mobilestereonet.data.rig.kalibr import is_camchain, is_sensor, read_camchain, read_sensors
+from mobilestereonet.data.rig.named_numbers import find_intrinsics, read_intrinsics
 from mobilestereonet.data.rig.opencv import find_names, read_opencv
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.rig.values import matrix_of

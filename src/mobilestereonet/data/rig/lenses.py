@@ -7,7 +7,9 @@ import re
 import numpy as np
 
 from mobilestereonet.data.rig.cameras import FISHEYE_COEFFICIENTS, Camera, Matrix
+from mobilestereonet.data.rig.entries import Entries
 from mobilestereonet.data.rig.told import Told
+from mobilestereonet.data.rig.values import number_of
 from mobilestereonet.errors import InputError
 
 PINHOLE_MODELS = {
@@ -38,6 +40,32 @@ FISHEYE_MODELS = {
 NO_DISTORTION = {"none", "no", "pinhole", ""}
 """Names that say nothing about distortion."""
 
+LENS_NUMBERS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""Names of the pinhole model's coefficients in OpenCV's order."""
+
+FISHEYE_NUMBERS = ("k1", "k2", "k3", "k4")
+"""Those of `cv2.fisheye`."""
+
+
+def named_coefficients(entries: Entries, fisheye: bool = False) -> Matrix:
+    """Distortion coefficients that are named numbers; 0 for those that are not there.
+
+    Raises:
+        InputError: If one is no number.
+    """
+    names = LENS_NUMBERS if not entries.keys().isdisjoint(LENS_NUMBERS[5:]) else LENS_NUMBERS[:5]
+    names = FISHEYE_NUMBERS if fisheye else names
+    return np.array([number_of(entries, name, 0) for name in names])
+
+
+def is_fisheye_model(model: str) -> bool:
+    """Whether a name is one of `FISHEYE_MODELS`, however it is written."""
+    return _plain(model) in FISHEYE_MODELS
+
+
+def _plain(model: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", model.lower())
+
 
 def camera_of(matrix: Matrix, distortion: Matrix, model: str, told: Told) -> Camera:
     """A camera from its matrix, its coefficients and the name of their model.
@@ -52,7 +80,7 @@ def camera_of(matrix: Matrix, distortion: Matrix, model: str, told: Told) -> Cam
         InputError: If the model is none that can be rectified, or four coefficients are given and
             nobody says what they are.
     """
-    name = re.sub(r"[^a-z0-9]", "", model.lower())
+    name = _plain(model)
     if name.startswith("inverse") and not distortion.any():
         name = "none"
     if name not in PINHOLE_MODELS | FISHEYE_MODELS | NO_DISTORTION:
