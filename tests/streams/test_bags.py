@@ -2,6 +2,7 @@
 
 import random
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -97,6 +98,28 @@ def test_raw_images_are_rectified(rosbags, msnet, tmp_path):
     assert code == 0
     depth = centre(cv2.imread(str(tmp_path / "m/000000_depth.png"), -1))
     assert np.median(depth) == pytest.approx(1000 * FOCAL_PX * BASELINE_M / 10, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [
+        ("/stereo/{}/image_rect", True),
+        ("/stereo/{}/image_rect_color/compressed", True),
+        ("/stereo/{}/image_rect_raw", True),
+        ("/rect/{}/image", True),
+        ("/zed/{}/image_rectified", True),
+        ("/zed/{}_rectified/image", True),
+        ("/direct/{}/image_raw", False),
+        ("/{}/image_unrectified", False),
+        ("/rectangle/{}/image", False),
+        ("/{}/image_raw", False),
+    ],
+)
+def test_names_of_rectified_images(topic, rectified):
+    views = [topic.format(side) for side in ("left", "right")]
+    assert bags.are_rectified(Path("run.bag"), views) == rectified
+    with pytest.raises(InputError, match="name two topics with rectified images, or two with raw"):
+        bags.are_rectified(Path("run.bag"), ["/left/image_rect", "/right/image_raw"])
 
 
 @pytest.mark.parametrize("ending", [".mcap", ".bag"])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,8 @@ TOLERANCE_S = 0.01
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _TRANSPORT = "compressed"  # the last part of a compressed image's topic
+
+_RECTIFIED = re.compile(r"(^|[/_])rect(ified)?([/_]|$)")
 
 _MAX_WAITING = 100
 """Images of one camera that wait for the other one's."""
@@ -67,7 +70,7 @@ def open_bag(
         views = _image_topics(path, topics, left, right)
         infos = [_camera_info(reader, topics, view) for view in views]
     rig = _rig(path, views, infos)
-    raw = None if rig is None or all(map(_is_rectified, views)) else raw_part(rig)
+    raw = None if rig is None or are_rectified(path, views) else raw_part(rig)
     rectify = None if raw is None else Rectifier(Rig((raw,), "camera_info"))
     return Stream(
         _frames(path, views, tolerance, rectify),
@@ -77,8 +80,19 @@ def open_bag(
     )
 
 
-def _is_rectified(topic: str) -> bool:
-    return "rect" in topic
+def are_rectified(path: Path, topics: Sequence[str]) -> bool:
+    """Whether the names of both topics say that their images are rectified (``image_rect``).
+
+    Raises:
+        InputError: If one does and the other one does not.
+    """
+    rectified = [topic for topic in topics if _RECTIFIED.search(topic)]
+    if len(rectified) == 1:
+        raise InputError(
+            f"{path}: by the topics' names, {rectified[0]} alone of {' and '.join(topics)} is "
+            "rectified: name two topics with rectified images, or two with raw ones"
+        )
+    return bool(rectified)
 
 
 @contextmanager
