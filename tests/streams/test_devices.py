@@ -79,14 +79,43 @@ def test_realsense_gives_depth_at_once(realsense, matcher, stopped):
     assert np.median(centre(result.depth(known))) == pytest.approx(5 / 12, rel=0.01)
 
 
+def test_a_camera_that_is_unplugged_ends_the_stream(realsense, stopped):
+    pipeline = sys.modules["pyrealsense2"].pipeline()
+    frames = [pipeline.wait_for_frames()]
+
+    def wait():
+        if frames:
+            return frames.pop()
+        raise RuntimeError("Frame didn't arrive within 5000")
+
+    pipeline.wait_for_frames = wait
+    with pytest.warns(UserWarning, match="realsense: gave no more pictures after 1 frames .*5000"):
+        assert len(list(open_stream("realsense:").frames)) == 1
+    assert stopped == [True]
+
+
+def test_a_camera_that_fails_after_its_start_is_stopped(realsense, stopped):
+    def fail():
+        raise RuntimeError("no such option")
+
+    sys.modules["pyrealsense2"].pipeline().start(None).get_device = fail
+    with pytest.raises(InputError, match="cannot be opened"):
+        open_stream("realsense:")
+    assert stopped == [True]
+
+
 class Handler:
     """The factory's calibration as depthai tells it, of cameras that are turned and distort."""
 
     lens = np.array([-0.2, 0.05, 0.001, 0, 0] + [0] * 9)
+    model = "Perspective"
     turn = cv2.Rodrigues(np.array([0.01, 0.02, -0.01]))[0]
 
     def getCameraIntrinsics(self, socket, width, height):  # noqa: N802
         return [[400.0, 0, width / 2], [0, 400.0, height / 2], [0, 0, 1]]
+
+    def getDistortionModel(self, socket):  # noqa: N802
+        return SimpleNamespace(name=self.model)
 
     def getDistortionCoefficients(self, socket):  # noqa: N802
         return self.lens.tolist()
@@ -107,6 +136,19 @@ def test_oaks_calibration_is_in_centimetres():
     calibration = Rectifier(rig).calibration((640, 400))
     assert calibration.baseline == pytest.approx(0.075)
     assert calibration.focal == pytest.approx(400, rel=0.2)
+
+
+def test_the_lens_model_of_an_oak():
+    handler = Handler()
+    handler.model = "Fisheye"
+    (cameras,) = devices.oak_rig(handler, ("B", "C"), (640, 400)).geometries
+    for camera in (cameras.left, cameras.right):
+        assert camera.fisheye
+        np.testing.assert_array_equal(camera.distortion, Handler.lens[:4])
+    for model in ("Equirectangular", "RadialDivision"):
+        handler.model = model
+        with pytest.raises(InputError, match=f"socket B has a lens of the model {model}"):
+            devices.oak_rig(handler, ("B", "C"), (640, 400))
 
 
 def test_oak_gives_rectified_pictures(monkeypatch, matcher, stopped):

@@ -149,3 +149,18 @@ def test_ways_to_pair_views(tmp_path):
         find_pairs(tmp_path / "l", tmp_path / "r", "order")
     with pytest.raises(InputError, match=r"none.png: no time stamp in its name"):
         find_pairs(tmp_path / "l", tmp_path / "r", "nearest")
+
+
+@pytest.mark.parametrize("name", ["left_{}_{:09d}", "{}.{:09d}", "{}-{:09d}", "cam0-{}.{:09d}"])
+def test_names_of_seconds_and_nanoseconds(tmp_path, name):
+    start = 1403636579_963555584  # ns; the third view is in the next second
+    for index in range(4):
+        for side, late in (("l", 0), ("r", 3_000_017)):
+            stamp = divmod(start + 25_000_000 * index + late, 10**9)
+            if (side, index) != ("r", 1):
+                touch(tmp_path / side / f"{name.format(*stamp)}.png")
+    with pytest.warns(UserWarning, match="1 of 4 left views and 0 of 3 right ones have no partner"):
+        pairs = find_pairs(tmp_path / "l", tmp_path / "r", "nearest")
+    assert [pair.name for pair in pairs] == [
+        name.format(*divmod(start + 25_000_000 * index, 10**9)) for index in (0, 2, 3)
+    ]

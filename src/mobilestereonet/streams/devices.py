@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 
 from mobilestereonet.data.images import Array
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
+from mobilestereonet.data.rig.cameras import FISHEYE_COEFFICIENTS
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import Rectifier
@@ -57,19 +60,21 @@ def _open_realsense(serial: str) -> Stream:
             rs.stream.infrared, index, *REALSENSE_SIZE, rs.format.y8, FRAMES_PER_SECOND
         )
     profile = pipeline.start(config)
-    sensor = profile.get_device().first_depth_sensor()
-    if sensor.supports(rs.option.emitter_enabled):
-        sensor.set_option(rs.option.emitter_enabled, 0)
-    left, right = (
-        profile.get_stream(rs.stream.infrared, index).as_video_stream_profile() for index in (1, 2)
-    )
+    with _stopped_on_error(pipeline.stop):
+        sensor = profile.get_device().first_depth_sensor()
+        if sensor.supports(rs.option.emitter_enabled):
+            sensor.set_option(rs.option.emitter_enabled, 0)
+        left, right = (
+            profile.get_stream(rs.stream.infrared, index).as_video_stream_profile()
+            for index in (1, 2)
+        )
+        calibration = realsense_calibration(left.get_intrinsics(), left.get_extrinsics_to(right))
 
     def take() -> list[Array]:
         frames = pipeline.wait_for_frames()
         return [np.array(frames.get_infrared_frame(index).get_data()) for index in (1, 2)]
 
-    calibration = realsense_calibration(left.get_intrinsics(), left.get_extrinsics_to(right))
-    return _live(take, pipeline.stop, calibration)
+    return _live("realsense", take, pipeline.stop, calibration)
 
 
 def realsense_calibration(intrinsics: Any, extrinsics: Any) -> Calibration:
@@ -104,14 +109,27 @@ def _open_oak(address: str) -> Stream:
         output.link(together.inputs[name])
     queue = together.out.createOutputQueue(maxSize=1, blocking=False)
     rectify = Rectifier(oak_rig(device.readCalibration(), sockets, OAK_SIZE))
-    pipeline.start()
+    calibration = rectify.calibration(OAK_SIZE)
+    with _stopped_on_error(pipeline.stop):  # a start may fail half-way
+        pipeline.start()
 
     def take() -> list[Array]:
         group = queue.get()
         left, right, _ = rectify(group["left"].getCvFrame(), group["right"].getCvFrame())
         return [left, right]
 
-    return _live(take, pipeline.stop, rectify.calibration(OAK_SIZE))
+    return _live("oak", take, pipeline.stop, calibration)
+
+
+@contextmanager
+def _stopped_on_error(stop: Callable[[], object]) -> Iterator[None]:
+    """Context whose errors leave no camera running."""
+    try:
+        yield
+    except BaseException:
+        with suppress(RuntimeError):
+            stop()
+        raise
 
 
 def oak_rig(handler: Any, sockets: Sequence[Any], size: tuple[int, int]) -> Rig:
@@ -121,29 +139,51 @@ def oak_rig(handler: Any, sockets: Sequence[Any], size: tuple[int, int]) -> Rig:
         handler: ``dai.CalibrationHandler``; its translations are in centimetres.
         sockets: The left and the right camera's.
         size: Width and height of their pictures.
+
+    Raises:
+        InputError: If a lens is neither a pinhole nor a fisheye one, or a value is impossible.
     """
-    left, right = (
-        Camera(
-            np.array(handler.getCameraIntrinsics(socket, *size)),
-            np.array(handler.getDistortionCoefficients(socket)),
-        )
-        for socket in sockets
-    )
+    left, right = (_oak_camera(handler, socket, size) for socket in sockets)
     pose = np.array(handler.getCameraExtrinsics(*sockets))
     return Rig((CameraPair(left, right, pose[:3, :3], pose[:3, 3] / 100, size),), "oak")
 
 
+def _oak_camera(handler: Any, socket: Any, size: tuple[int, int]) -> Camera:
+    model = handler.getDistortionModel(socket).name
+    if model not in ("Perspective", "Fisheye"):
+        raise InputError(
+            f"the camera on socket {socket} has a lens of the model {model}: its pictures cannot "
+            "be rectified here, those of Perspective and Fisheye can"
+        )
+    matrix = np.array(handler.getCameraIntrinsics(socket, *size))
+    distortion = np.array(handler.getDistortionCoefficients(socket))
+    fisheye = model == "Fisheye"
+    return Camera(matrix, distortion[:FISHEYE_COEFFICIENTS] if fisheye else distortion, fisheye)
+
+
 def _live(
-    take: Callable[[], list[Array]], stop: Callable[[], object], calibration: Calibration
+    maker: str,
+    take: Callable[[], list[Array]],
+    stop: Callable[[], object],
+    calibration: Calibration,
 ) -> Stream:
     def frames() -> Generator[StereoFrame]:
         started = time.monotonic()
         try:
             for index in count():
-                pictures = take()
+                try:
+                    pictures = take()
+                except RuntimeError as error:  # of both libraries
+                    warnings.warn(
+                        f"{maker}: gave no more pictures after {index} frames ({error}); was the "
+                        "camera unplugged?",
+                        stacklevel=2,
+                    )
+                    return
                 yield make_frame(index, time.monotonic() - started, pictures)
         finally:
-            stop()
+            with suppress(RuntimeError):  # it is gone
+                stop()
 
     return Stream(latest_only(frames()), None, live=True, calibration=calibration)
 

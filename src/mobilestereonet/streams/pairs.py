@@ -22,8 +22,10 @@ from mobilestereonet.streams.stream import StereoFrame
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 _WILDCARD = re.compile(r"[*?[]")
-_STAMP = re.compile(r"\d{9,}(\.\d+)?")
-"""A name that is a time stamp: seconds, or a smaller unit, since 1970."""
+_STAMP = re.compile(r"\d{9,}(\.\d+)?|\d{9,10}[_-]\d{9}")
+"""A name that is a time stamp: seconds, or a smaller unit, since 1970; or both, as ROS has it."""
+
+_SECONDS_NANOSECONDS = re.compile(r"(?<!\d)(\d{9,10})[._-](\d{9})$")
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,9 @@ def _by_stamp(lefts: Sequence[Path], rights: Sequence[Path]) -> list[PairFiles]:
 
 
 def _stamp(path: Path) -> Decimal:
-    """The number that a file's name ends in."""
+    """The number that a file's name ends in; seconds and nanoseconds are one."""
+    if match := _SECONDS_NANOSECONDS.search(path.stem):
+        return Decimal(f"{match[1]}.{match[2]}")
     numbers = re.findall(r"\d+(?:\.\d+)?", path.stem)
     if not numbers:
         raise InputError(f"{path}: no time stamp in its name: pair by name or by order")

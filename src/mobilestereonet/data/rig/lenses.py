@@ -53,8 +53,9 @@ def named_coefficients(entries: Entries, fisheye: bool = False) -> Matrix:
     Raises:
         InputError: If one is no number.
     """
-    names = LENS_NUMBERS if not entries.keys().isdisjoint(LENS_NUMBERS[5:]) else LENS_NUMBERS[:5]
-    names = FISHEYE_NUMBERS if fisheye else names
+    names: tuple[str, ...] = FISHEYE_NUMBERS if fisheye else LENS_NUMBERS
+    if not fisheye and entries.keys().isdisjoint(LENS_NUMBERS[5:]):
+        names = LENS_NUMBERS[:5]
     return np.array([number_of(entries, name, 0) for name in names])
 
 
