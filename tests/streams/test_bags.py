@@ -352,11 +352,47 @@ def test_yuv(encoding, order):
 
 @pytest.mark.parametrize("data", [b"", b"no image"])
 def test_what_is_no_image_is_told(data):
-    with pytest.raises(InputError, match="damaged compressed image"):
+    with pytest.raises(InputError, match=r"a compressed image \(jpeg\): not an image"):
         picture_of(SimpleNamespace(format="jpeg", data=data))
     message = SimpleNamespace(encoding="32FC1", height=1, width=1, step=4, data=data)
     with pytest.raises(InputError, match="encoding '32FC1' cannot be read, only mono8"):
         picture_of(message)
+
+
+def image_message(encoding, height, width, data=bytes(64)):
+    return SimpleNamespace(
+        encoding=encoding, height=height, width=width, step=0, is_bigendian=0, data=data
+    )
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "yuyv"])
+def test_an_odd_width_of_yuv(encoding):
+    with pytest.raises(InputError, match=f"3x2 pixels, uint8, cannot be one of {encoding}"):
+        picture_of(image_message(encoding, 2, 3))
+
+
+@pytest.mark.parametrize(("height", "width"), [(0, 4), (4, 0), (0, 0)])
+def test_images_without_pixels(height, width):
+    with pytest.raises(InputError, match=f"a damaged image: 64 bytes for {width}x{height} pixels"):
+        picture_of(image_message("mono8", height, width))
+
+
+def test_compressed_images_of_an_unknown_encoding():
+    _, png = cv2.imencode(".png", GREY)
+    message = SimpleNamespace(format="bayer_rggb12; png compressed", data=png.tobytes())
+    with pytest.raises(InputError, match="encoding 'bayer_rggb12' cannot be read, only mono8"):
+        picture_of(message)
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png"])
+def test_compressed_images_that_are_cut_off(ending):
+    picture = np.random.default_rng(1).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    _, data = cv2.imencode(f".{ending}", picture)
+    whole = SimpleNamespace(format=f"rgb8; {ending} compressed bgr8", data=data)
+    assert picture_of(whole).shape == picture.shape
+    whole.data = data[: len(data) // 2]
+    with pytest.raises(InputError, match=r"compressed image \(rgb8; .*not an image that is whole"):
+        picture_of(whole)
 
 
 def camera(p, *, size=(160, 48), binning=(0, 0), window=(0, 0, 0, 0)):

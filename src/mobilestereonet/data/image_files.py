@@ -83,7 +83,17 @@ def decode_image(path: str | Path) -> Array:
         FileNotFoundError: If there is no such file.
         InputError: If the file is no image, a damaged one, or larger than `MAX_IMAGE_PIXELS`.
     """
-    return _decode(path, read_bytes(path)).levels
+    return decode_bytes(path, read_bytes(path))
+
+
+def decode_bytes(name: str | Path, content: bytes) -> Array:
+    """Decode an image file's content as `decode_image` does; the errors are the same.
+
+    Args:
+        name: What messages call it.
+        content: The bytes of the file.
+    """
+    return _decode(name, content).levels
 
 
 def read_image(path: str | Path) -> Array:

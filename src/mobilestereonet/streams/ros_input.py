@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mobilestereonet.data.image_files import decode_bytes
 from mobilestereonet.data.rig import CameraPair, Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
@@ -53,29 +54,21 @@ def picture_of(message: Any) -> Image:
     """
     if hasattr(message, "encoding"):
         return _decoded(_pixels(message), message.encoding)
-    data = np.frombuffer(message.data, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise InputError(f"a damaged compressed image, or a format ({message.format}) of another")
+    image = decode_bytes(f"a compressed image ({message.format})", bytes(message.data))
     if image.ndim == 3:
-        return np.asarray(
-            cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
-        )
+        return _converted(image, "BGR2RGB" if image.shape[2] == 3 else "BGRA2RGB", message.format)
     encoding = message.format.partition(";")[0].strip()  # "bayer_rggb8; png compressed"
-    return _decoded(image, encoding) if encoding.startswith("bayer") else np.asarray(image)
+    return _decoded(image, encoding) if encoding.startswith("bayer") else image
 
 
 def _pixels(message: Any) -> Image:
     """The pixels of an Image as they are, (H, W) or (H, W, channels), without the rows' padding."""
-    if message.encoding not in _ENCODINGS:
-        raise InputError(
-            f"images of encoding {message.encoding!r} cannot be read, only {', '.join(_ENCODINGS)}"
-        )
-    dtype, channels, _ = _ENCODINGS[message.encoding]
+    dtype, channels, _ = _known(message.encoding)
     pixel = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
     used = message.width * channels * pixel.itemsize
     step, data = message.step or used, np.frombuffer(message.data, np.uint8)
-    if step < used or not used or data.size < (message.height - 1) * step + used:
+    empty = not used or not message.height
+    if step < used or empty or data.size < (message.height - 1) * step + used:
         raise InputError(
             f"a damaged image: {data.size} bytes for {message.width}x{message.height} pixels of "
             f"{message.encoding} in rows of {step} bytes"
@@ -85,11 +78,28 @@ def _pixels(message: Any) -> Image:
     return values if channels == 1 else values.reshape(message.height, message.width, channels)
 
 
+def _known(encoding: str) -> tuple[type, int, str | None]:
+    if encoding not in _ENCODINGS:
+        raise InputError(
+            f"images of encoding {encoding!r} cannot be read, only {', '.join(_ENCODINGS)}"
+        )
+    return _ENCODINGS[encoding]
+
+
 def _decoded(pixels: Image, encoding: str) -> Image:
-    conversion = _ENCODINGS[encoding][2]
-    if conversion is None:
-        return pixels
-    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}")))
+    conversion = _known(encoding)[2]
+    return pixels if conversion is None else _converted(pixels, conversion, encoding)
+
+
+def _converted(pixels: Image, conversion: str, encoding: str) -> Image:
+    try:
+        return np.asarray(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}")))
+    except cv2.error:  # such as an odd width of YUV 4:2:2, whose pixels come in twos
+        height, width = pixels.shape[:2]
+        raise InputError(
+            f"an image of {width}x{height} pixels, {pixels.dtype}, cannot be one of {encoding}: "
+            "is it damaged, or its width odd?"
+        ) from None
 
 
 def rig_of(left: Any, right: Any) -> Rig | None:
