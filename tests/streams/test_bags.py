@@ -1,6 +1,5 @@
 """Bags of ROS as sources and as sinks, read and written with two libraries."""
 
-import random
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -433,44 +432,6 @@ def test_binning_and_region_of_interest():
     moved = camera(projection(0.2), window=(28, 4, 100, 40))
     found = calibration_of(camera(projection(), window=(20, 4, 100, 40)), moved)
     assert (found.doffs, found.size) == (-8, (100, 40))
-
-
-def test_pairs_are_the_nearest_ones():
-    def images(side, *stamps):
-        return [(side, SimpleNamespace(stamp=stamp)) for stamp in stamps]
-
-    def stamps(pairs):
-        return [tuple(view and view.stamp for view in pair) for pair in pairs]
-
-    left, right = images(0, 10, 20, 30, 40), images(1, 11, 19, 33, 60)
-    expected = [(10, 11), (20, 19), (30, 33), (40, None), (None, 60)]
-    for order in (left + right, right + left):
-        assert stamps(bags.pair_by_stamp(order, 3)) == expected
-    # The nearer one counts, not the first one that is near enough.
-    assert stamps(bags.pair_by_stamp(images(0, 10, 12) + images(1, 13), 5)) == [
-        (10, None),
-        (12, 13),
-    ]
-    # A camera that stops does not fill the memory: its partner's images are given up.
-    many = bags.pair_by_stamp(images(0, *range(1000)) + images(1, 0), 0)
-    assert stamps([next(many)]) == [(0, None)]
-
-
-def test_pairs_do_not_depend_on_the_order_of_the_bag():
-    rng = random.Random(3)
-    images = [
-        (side, SimpleNamespace(stamp=100 * i + rng.randint(-8, 8)))
-        for i in range(40)
-        for side in (0, 1)
-        if rng.random() < 0.8
-    ]
-    late = sorted(images, key=lambda image: (image[1].stamp + 700 * image[0], image[0]))
-    by_stamp = sorted(images, key=lambda image: image[1].stamp)
-    pairs = [list(bags.pair_by_stamp(order, 16)) for order in (by_stamp, late)]
-    assert {tuple(map(id, pair)) for pair in pairs[0]} == {
-        tuple(map(id, pair)) for pair in pairs[1]
-    }
-    assert sum(None not in pair for pair in pairs[0]) > 15
 
 
 def test_the_command_line_knows_the_names_of_the_library():

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 from mobilestereonet.data.rig import Rig
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import Rectifier
+from mobilestereonet.streams.pairing import pair_nearest
 from mobilestereonet.streams.ros_input import picture_of, raw_part, rectified_part, rig_of
 from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
 
@@ -27,9 +27,6 @@ _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _TRANSPORT = "compressed"  # the last part of a compressed image's topic
 
 _RECTIFIED = re.compile(r"(^|[/_])rect(ified)?([/_]|$)")
-
-_MAX_WAITING = 100
-"""Images of one camera that wait for the other one's."""
 
 
 def is_bag(source: str | Path) -> bool:
@@ -169,7 +166,8 @@ def _frames(
     path: Path, views: tuple[str, str], tolerance: float, rectify: Rectifier | None
 ) -> Generator[StereoFrame]:
     with _open_reader(path) as reader:
-        pairs = pair_by_stamp(_images(reader, views), round(tolerance * 1e9))
+        images = _images(reader, views)
+        pairs = pair_nearest(images, lambda image: image.stamp, round(tolerance * 1e9))
         start, seconds = None, 0.0
         for index, pair in enumerate(pairs):
             first = next(view for view in pair if view is not None)
@@ -206,50 +204,3 @@ def _frame(
         return make_frame(index, seconds, pictures if rectify is None else rectify(*pictures)[:2])
     except InputError as error:
         return StereoFrame(index, f"{index:06d}", seconds, None, str(error))
-
-
-def pair_by_stamp(
-    images: Iterable[tuple[int, Any]], tolerance: int
-) -> Iterator[tuple[Any | None, Any | None]]:
-    """Pair the images of two cameras, each with the nearest one of the other.
-
-    Args:
-        images: 0 or 1 for the left or the right camera, and an image with a ``stamp``; those of
-            one camera in the order of their stamps.
-        tolerance: Largest difference of the stamps of a pair, in the same unit.
-
-    Yields:
-        Left and right image, None in place of a partner that there is not, in the order of their
-        stamps.
-    """
-    waiting: tuple[deque[Any], deque[Any]] = deque(), deque()
-    for side, image in images:
-        waiting[side].append(image)
-        yield from _settled(waiting, tolerance, ended=len(waiting[side]) > _MAX_WAITING)
-        if len(waiting[side]) > _MAX_WAITING:
-            yield _alone(side, waiting[side].popleft())
-    yield from _settled(waiting, tolerance, ended=True)
-    for side, images_left in enumerate(waiting):
-        for image in images_left:
-            yield _alone(side, image)
-
-
-def _alone(side: int, image: Any) -> tuple[Any | None, Any | None]:
-    return (image, None) if side == 0 else (None, image)
-
-
-def _settled(
-    waiting: tuple[deque[Any], deque[Any]], tolerance: int, ended: bool
-) -> Iterator[tuple[Any | None, Any | None]]:
-    """Take the images out whose partner is known, or that have none."""
-    while all(waiting):
-        side = int(waiting[1][0].stamp < waiting[0][0].stamp)  # whose first image is the earlier
-        early, late = waiting[side], waiting[1 - side]
-        gap = late[0].stamp - early[0].stamp
-        if gap <= tolerance and len(early) == 1 and gap > 0 and not ended:
-            return  # the next one may be nearer
-        nearer = len(early) > 1 and abs(late[0].stamp - early[1].stamp) < gap
-        if gap > tolerance or nearer:
-            yield _alone(side, early.popleft())
-        else:
-            yield waiting[0].popleft(), waiting[1].popleft()
