@@ -225,6 +225,23 @@ def named_numbers(folder, c):
     return path
 
 
+def orb_slam3(folder, c):
+    """Settings whose pose is that of camera 2 in the frame of camera 1."""
+    names = ("k1", "k2", "k3", "k4") if c.fisheye else ("k1", "k2", "p1", "p2")
+    camera = {"fx": FOCAL, "fy": FOCAL, "cx": CX, "cy": CY}
+    camera |= dict(zip(names, c.distortion.tolist(), strict=True))
+    lines = [f"Camera{n}.{name}: {value}" for n in (1, 2) for name, value in camera.items()]
+    pose = np.linalg.inv(c.pose).ravel().tolist()
+    path = folder / "slam.yaml"
+    path.write_text(
+        f'%YAML:1.0\n---\nCamera.type: "{"KannalaBrandt8" if c.fisheye else "PinHole"}"\n'
+        + "\n".join(lines)
+        + f"\nCamera.width: {SIZE[0]}\nCamera.height: {SIZE[1]}\nCamera.newWidth: 600\n"
+        f"Stereo.T_c1_c2: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: f\n  data: {pose}\n"
+    )
+    return path
+
+
 def realsense_table(folder, c):
     table = {"baseline": "-120"}
     for index, factor in enumerate((2, 1)):
@@ -281,6 +298,7 @@ RAW_FORMATS = OPENCV | {
     "oak": oak,
     "realsense": realsense,
     "named numbers": named_numbers,
+    "orb-slam3": orb_slam3,
 }
 """Formats that tell about raw pictures."""
 

@@ -51,6 +51,15 @@ def test_views_that_need_no_rectification():
     assert len(rig.geometries) == 1
 
 
+@pytest.mark.parametrize("unknown", ["K", "R"])
+def test_matrices_that_are_zero_tell_nothing_of_raw_pictures(unknown):
+    zero = {unknown: [0.0] * 9}
+    for left, right in ((zero, {}), ({}, zero), (zero, zero)):
+        rig = Rig.from_camera_info(info(**left), info(-60.0, **right))
+        assert rig.geometries == (rig.calibration,)
+        assert (rig.calibration.focal, rig.calibration.baseline) == (500, pytest.approx(0.12))
+
+
 @pytest.mark.parametrize("fisheye", ["equidistant", "fisheye"])
 def test_fisheye(fisheye):
     model = {"distortion_model": fisheye, "D": [0.1, 0.0, 0.0, 0.0]}

@@ -48,7 +48,7 @@ def test_raw_cameras_are_equal_through_each_format(tmp_path, name):
         assert not camera.fisheye
 
 
-@pytest.mark.parametrize("name", ["ros", "kalibr", "euroc", "oak", "realsense"])
+@pytest.mark.parametrize("name", ["ros", "kalibr", "euroc", "oak", "realsense", "orb-slam3"])
 def test_fisheye_lenses_are_known_by_their_models(tmp_path, name):
     rig = Rig.read(FORMATS[name](tmp_path, FISHEYE))
     pair = rig.geometry(SIZE)
@@ -277,6 +277,45 @@ def test_what_no_camera_has_is_refused(tmp_path, what):
     path = files.storage(tmp_path / "rig.yml", files.opencv(RAW) | changes)
     with pytest.raises(InputError, match=rf"rig\.yml: .*{message}"):
         Rig.read(path)
+
+
+def test_settings_of_orb_slam(tmp_path):
+    path = files.orb_slam3(tmp_path, RECTIFIED)
+    text = path.read_text()
+    path.write_text(text.replace("PinHole", "Rectified").partition("Stereo")[0] + "Stereo.b: 0.12")
+    expected = Rig.read(files.middlebury(tmp_path, RECTIFIED)).geometry(SIZE)
+    assert Rig.read(path).geometry(SIZE) == expected
+    path.write_text(text.replace("PinHole", "Omni"))
+    with pytest.raises(InputError, match=r"Camera\.type is one of PinHole, .* got 'Omni'"):
+        Rig.read(path)
+    r1, r2, p1, p2 = RAW.rectification()
+    sides = {"K": CAMERA, "D": RAW.five, "width": SIZE[0], "height": SIZE[1]}
+    left, right = ({"R": r, "P": p} | sides for r, p in ((r1, p1), (r2, p2)))
+    values = {f"LEFT.{name}": value for name, value in left.items()}
+    values |= {f"RIGHT.{name}": value for name, value in right.items()}
+    np.savez(tmp_path / "slam2.npz", **values)
+    with pytest.raises(InputError, match="672x376, these have 1344x752"):
+        Rig.read(tmp_path / "slam2.npz").geometry((1344, 752))
+    np.savez(tmp_path / "slam2.npz", **values | {"RIGHT.width": 9})
+    with pytest.raises(InputError, match=r"\(672, 376\) \(left\) and \(9, 376\) \(right\)"):
+        Rig.read(tmp_path / "slam2.npz")
+
+
+def test_cropped_views_may_not_show_their_principal_point(tmp_path):
+    path = files.middlebury(tmp_path, RECTIFIED)
+    text = path.read_text().replace(f" {files.CY};", " -40;")
+    path.write_text(text.replace("height=376", "height=200"))
+    assert Rig.read(path).geometry((672, 200)).cy == -40
+    path.write_text("\n".join(line for line in text.splitlines() if "dth" not in line))
+    with pytest.raises(InputError, match=r"principal point \(336, -40\) is outside"):
+        Rig.read(path).geometry((672, 200))
+
+
+def test_a_size_that_has_its_rows_first(tmp_path):
+    path = files.plain_yaml(tmp_path, RAW)
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"image_size": [376, 672]}))
+    with pytest.raises(InputError, match=r"376x672, these have 672x376 .*: write the width first"):
+        Rig.read(path).geometry(SIZE)
 
 
 @pytest.mark.parametrize("count", [0, 5, 8, 12, 14])

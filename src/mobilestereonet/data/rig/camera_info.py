@@ -131,11 +131,13 @@ def in_metres(left: Matrix, right: Matrix, baseline: float) -> tuple[Matrix, Mat
 
 
 def _tells_raw(info: Entries) -> bool:
-    """Whether a camera_info tells how raw pictures are made; K of an uncalibrated one is 0."""
+    """Whether a camera_info tells how raw pictures are made; a K or R that it does not is 0."""
     known = all(
         not info.keys().isdisjoint(names) for names in (_MATRIX, _DISTORTION, _RECTIFICATION)
     )
-    return known and bool(matrix_of(info, _MATRIX, (9,)).any())
+    return known and all(
+        bool(matrix_of(info, names, (9,)).any()) for names in (_MATRIX, _RECTIFICATION)
+    )
 
 
 def _raw_camera(info: Entries, window: _Window, told: Told) -> Camera:

@@ -139,6 +139,7 @@ class CameraPair:
             raise wrong_size(self.size, size, "the cameras were calibrated at")
         for camera, side in ((self.left, "left"), (self.right, "right")):
             check_principal_point(camera.matrix, size, side)
+            check_focal_lengths(camera.matrix, size, side)
 
     def resized(self, size: Size) -> CameraPair:
         """The same cameras, their pictures resized to another width and height."""
@@ -184,6 +185,8 @@ def wrong_size(own: Size, size: Size, what: str) -> InputError:
     if same_shape(own, size):
         factor = f"{size[0] / own[0]:.6g}"
         message += f"; --resized says that they were only resized, here by {factor}"
+    elif own == size[::-1]:
+        message += "; the file's size is height, width: write the width first"
     return InputError(message)
 
 
@@ -225,18 +228,28 @@ def check_camera_matrix(matrix: Matrix, name: str = "K") -> None:
 
 
 def check_principal_point(matrix: Matrix, size: Size, side: str) -> None:
-    """Check that a camera's principal point and focal lengths are of pictures of this size.
+    """Check that a camera's principal point is in its pictures.
 
     Raises:
-        InputError: If they are not.
+        InputError: If it is not.
     """
     width, height = size
-    (cx, cy), (fx, fy) = matrix[:2, 2], (matrix[0, 0], matrix[1, 1])
+    cx, cy = matrix[:2, 2]
     if not (-0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5):
         raise InputError(
             f"the {side} camera's principal point ({cx:g}, {cy:g}) is outside of its pictures of "
             f"{width}x{height}: is it the calibration of another size?"
         )
+
+
+def check_focal_lengths(matrix: Matrix, size: Size, side: str) -> None:
+    """Check that a camera's focal lengths are in pixels of pictures of this size.
+
+    Raises:
+        InputError: If they are not.
+    """
+    width, height = size
+    fx, fy = matrix[0, 0], matrix[1, 1]
     if min(fx / width, fy / width) < MIN_FOCAL_PER_WIDTH:
         raise InputError(
             f"the {side} camera's focal lengths are {fx:g} and {fy:g} for pictures of "

@@ -20,6 +20,7 @@ from mobilestereonet.data.rig.entries import Entries, read_entries
 from mobilestereonet.data.rig.kalibr import is_camchain, is_sensor, read_camchain, read_sensors
 from mobilestereonet.data.rig.named_numbers import find_intrinsics, read_intrinsics
 from mobilestereonet.data.rig.opencv import find_names, read_opencv
+from mobilestereonet.data.rig.orb_slam import is_orb_slam3, read_orb_slam3
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.rig.values import matrix_of
 from mobilestereonet.errors import InputError
@@ -31,6 +32,7 @@ _FORMATS: tuple[tuple[Callable[[Entries], bool], Callable[[Entries, Told], Descr
     (is_zed, read_zed),
     (is_oak, read_oak),
     (is_realsense_table, read_realsense_table),
+    (is_orb_slam3, read_orb_slam3),
     (is_camera_info, lambda entries, told: Description(pair_of_infos(None, entries, told))),
     (lambda entries: bool(find_intrinsics(entries)), read_intrinsics),
     (lambda entries: bool(find_names(entries)), read_opencv),
@@ -70,7 +72,8 @@ def _describe(files: list[Entries], names: list[str], told: Told) -> Description
     raise InputError(
         "unknown calibration format: found neither cam0=[...] (Middlebury, ETH3D) nor P_rect_02: "
         "or P2: (KITTI), projection_matrix: (ROS), cam0: (Kalibr), T_BS: (EuRoC), [LEFT_CAM_HD] "
-        "(ZED), cameraData (OAK), fx and ppx (RealSense), nor names of OpenCV's results such as "
+        "(ZED), cameraData (OAK), fx and ppx (RealSense), Camera1.fx (ORB-SLAM3), nor names of "
+        "OpenCV's results such as "
         "K1 D1 K2 D2 R T, P1 P2 or Q"
     )
 

@@ -78,7 +78,7 @@ def read_intrinsics(entries: Entries, told: Told) -> Description:
         raise InputError(
             f"which cameras are left and right? It has {listed(found)}: call them left and right"
         )
-    cameras = [_numbered_camera(one[0], told) for one in (left, right)]
+    cameras = [numbered_camera(one[0], told) for one in (left, right)]
     if alone and cameras[0][0].distorts:
         raise InputError(
             "it tells about one camera alone, whose lens distorts: to rectify its pictures, give "
@@ -133,7 +133,12 @@ def _coefficients(values: Entries) -> dict[str, Matrix]:
     return found
 
 
-def _numbered_camera(entries: Entries, told: Told) -> tuple[Camera, Size | None]:
+def numbered_camera(entries: Entries, told: Told) -> tuple[Camera, Size | None]:
+    """One camera from named numbers, and the size of its pictures if it tells.
+
+    Raises:
+        InputError: If a value is missing or impossible.
+    """
     values = flattened(entries)
     prefix = next(name for name in values if re.fullmatch("(.*_)?fx", name))[:-2]
     own = {name.removeprefix(prefix): value for name, value in values.items()}

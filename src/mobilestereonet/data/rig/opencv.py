@@ -20,6 +20,7 @@ from mobilestereonet.data.rig.description import (
     Geometry,
     Pose,
     matrix_of_numbers,
+    one_size,
     pair_of,
 )
 from mobilestereonet.data.rig.entries import Entries, flattened
@@ -35,6 +36,8 @@ _OF_ONE = {
     "D": r"d|dist(ortion)?s?(_?coef+(icient)?s?)?|dist_?vec|coeffs",
     "R": r"r|rect(ification)?(_?(matrix|transform|rotation))?",
     "P": r"p|proj(ection)?(_?mat(rix)?|_?mtx)?",
+    "W": r"((image|img)_?)?width",
+    "H": r"((image|img)_?)?height",
 }
 """Quantities of one camera."""
 
@@ -118,6 +121,13 @@ def find_names(entries: Entries) -> dict[str, str]:
 def _size(entries: Entries, names: dict[str, str]) -> Size | None:
     if {"width", "height"} <= names.keys():
         return size_of(*(number_of(entries, names[side]) for side in ("width", "height")))
+    own = [
+        size_of(*(number_of(entries, names[f"{side}{camera}"]) for side in "WH"))
+        for camera in (1, 2)
+        if {f"W{camera}", f"H{camera}"} <= names.keys()
+    ]
+    if own:
+        return one_size(own[0], own[-1])
     if "size" in names:
         width, height = matrix_of(entries, names["size"], (2,))
         return size_of(width, height)

@@ -10,6 +10,7 @@ from mobilestereonet.data.rig.cameras import (
     Matrix,
     Size,
     check_camera_matrix,
+    check_focal_lengths,
     check_principal_point,
     wrong_size,
 )
@@ -86,7 +87,7 @@ def from_cameras(
             "views are not rectified"
         )
     if size is not None:
-        check_principal_point(left, size, "left")
+        check_focal_lengths(left, size, "left")
     between = float(right[0, 2] - left[0, 2])
     return Calibration(
         focal=float(left[0, 0]),
@@ -122,12 +123,16 @@ def check_views(calibration: Calibration, size: Size) -> None:
     """Check that a calibration can be of views of a size.
 
     Raises:
-        InputError: If it is of another one, or its principal point is outside.
+        InputError: If it is of another one; or if it tells no size, and its principal point is
+            outside, as it may be of views that were cropped.
     """
     if calibration.size not in (None, size):
         raise wrong_size(calibration.size, size, "the calibration is of views of")
     (fx, fy), (cx, cy) = calibration.focal_lengths, calibration.principal_point(*size)
-    check_principal_point(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, "left")
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    check_focal_lengths(matrix, size, "left")
+    if calibration.size is None:
+        check_principal_point(matrix, size, "left")
 
 
 def other_focal(fx: float, fy: float) -> float | None:
