@@ -10,8 +10,8 @@ publishes disparity, depth, points2 and confidence, all in its namespace; remap 
 Parameters: quality (fast, balanced or best) or model (what StereoMatcher.from_pretrained takes),
 device, tolerance (of the stamps of a pair, in s), max_depth (of the points, in metres).
 
-This file was not run in ROS 2: none is at hand. A test runs it with a stand-in for rclpy and checks
-its messages against the definitions of ROS 2 Humble. The ROS 1 node beside it was run.
+Not tested in ROS 2. A test runs it with a stand-in for rclpy and checks its messages against the
+definitions of ROS 2 Humble. The ROS 1 node beside it was run.
 """
 
 from array import array

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from pathlib import Path
@@ -34,6 +35,21 @@ _WORDS: dict[Any, str] = {
     Path: "a path",
     NoneType: "null",
 }
+
+
+_KNOWN_DISTANCE = re.compile(r"(\d{1,6}),(\d{1,6})=(\d{1,9}(?:\.\d+)?|\.\d+)", re.ASCII)
+
+
+def parse_known_distance(text: str) -> tuple[int, int, float]:
+    """Read ``COLUMN,ROW=METRES``.
+
+    Raises:
+        InputError: If it is none, or the distance is 0.
+    """
+    match = _KNOWN_DISTANCE.fullmatch(text)
+    if match is None or not float(match[3]) > 0:
+        raise InputError(f"--known {text}: write it as COLUMN,ROW=METRES, such as 320,240=2.5")
+    return int(match[1]), int(match[2]), float(match[3])
 
 
 def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:

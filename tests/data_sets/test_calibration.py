@@ -285,3 +285,15 @@ def test_refused_yaml(tmp_path, text, message):
 def test_impossible_values_are_named(values):
     with pytest.raises(InputError, match=f"{next(iter(values))} must be"):
         Calibration(**({"focal": 1.0, "baseline": 1.0} | values))
+
+
+def test_another_size_is_told_with_the_way_out():
+    calibration = Calibration(focal=500, baseline=0.1, size=(640, 480))
+    calibration.require_size(640, 480)
+    with pytest.raises(
+        InputError, match=r"--resized .* by 0\.5, and in Python \.resized\(\(320, 2"
+    ):
+        calibration.require_size(320, 240)
+    calibration.resized((320, 240)).require_size(320, 240)
+    with pytest.raises(InputError, match=r"640x480, these have 480x640 .*: write the width first"):
+        calibration.require_size(480, 640)

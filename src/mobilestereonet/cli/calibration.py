@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mobilestereonet.cli.early import UNITS, check_known, existing_file, one_of
+from mobilestereonet.cli.early import UNITS, existing_file, one_of
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import parse_known_distance
 
 if TYPE_CHECKING:
     from mobilestereonet.data.sample import Calibration
@@ -149,7 +150,7 @@ class CalibrationOptions(RigFiles):
                 )
             return
         if self.known is not None:
-            check_known(self.known)
+            parse_known_distance(self.known)
             if self.baseline is not None:
                 raise InputError("--known is in place of --baseline: leave one of them out")
         elif self.given and self.baseline is None:

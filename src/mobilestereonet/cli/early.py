@@ -238,16 +238,6 @@ def _fields(file: str | Path, pattern: str) -> list[str]:
     ]
 
 
-def check_known(text: str) -> None:
-    """Check that a known distance is written as one, before NumPy is imported.
-
-    Raises:
-        InputError: If it is none.
-    """
-    if not re.fullmatch(r"\d{1,6},\d{1,6}=(\d*[1-9]\d*(\.\d+)?|0*\.\d*[1-9]\d*)", text):
-        raise InputError(f"--known {text}: write it as COLUMN,ROW=METRES, such as 320,240=2.5")
-
-
 def _check_recipe(option: str, recipe: str) -> None:
     if recipe.endswith(".json"):
         _check_file(option, Path(recipe))

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mobilestereonet.data.sizes import wrong_size
 from mobilestereonet.errors import InputError
 
 
@@ -67,18 +68,7 @@ class Calibration:
         """
         if self.size is None or tuple(self.size) == (width, height):
             return
-        message = (
-            f"the calibration is of views of {self.size[0]}x{self.size[1]}, these have "
-            f"{width}x{height} (width x height): give the calibration of these views"
-        )
-        scale = width / self.size[0]
-        if abs(height - scale * self.size[1]) <= 1:
-            message += (
-                f"; if they were only resized, multiply its focal lengths, principal points and "
-                f"doffs by {scale:.6g} (focal {self.focal * scale:.6g}, doffs "
-                f"{self.doffs * scale:.6g})"
-            )
-        raise InputError(message)
+        raise wrong_size(self.size, (width, height), "the calibration is of views of")
 
     def resized(self, size: tuple[int, int]) -> Calibration:
         """Calibration of the views resized to another width and height.

@@ -31,10 +31,10 @@ from mobilestereonet.inference.tiling import (
 )
 from mobilestereonet.nets.model import Prediction
 
-Size: TypeAlias = tuple[int, int]
+HeightWidth: TypeAlias = tuple[int, int]
 """Height and width in px."""
 
-Tile: TypeAlias = Size | Literal["auto"] | None
+Tile: TypeAlias = HeightWidth | Literal["auto"] | None
 """Size of tiles; None for none, "auto" for `TILE_SIZE` above `MAX_UNTILED_PIXELS`."""
 
 
@@ -43,7 +43,7 @@ def predict_disparity(
     left: Tensor,
     right: Tensor,
     *,
-    padding: Size | None,
+    padding: HeightWidth | None,
     tile: Tile,
     refine: bool,
     confidence: bool,
@@ -147,7 +147,7 @@ def match_pairs(
 
 
 def _match_padded(
-    engine: Engine, left: Tensor, right: Tensor, padding: Size | None, confidence: bool
+    engine: Engine, left: Tensor, right: Tensor, padding: HeightWidth | None, confidence: bool
 ) -> Tensor:
     """Preprocess, pad, match, unpad: (1 or 2, B, H, W), disparity and confidence."""
     height, width = left.shape[-2:]
@@ -161,7 +161,9 @@ def _match_padded(
     return unpad(maps, height, width)
 
 
-def _padded_size(height: int, width: int, padding: Size | None, engine: Engine) -> Size:
+def _padded_size(
+    height: int, width: int, padding: HeightWidth | None, engine: Engine
+) -> HeightWidth:
     if padding is None:
         multiple, least = engine.size_multiple, engine.min_side
         height, width = (math.ceil(max(side, least) / multiple) for side in (height, width))

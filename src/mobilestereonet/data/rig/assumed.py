@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from mobilestereonet.data.rig.cameras import Size
 from mobilestereonet.data.rig.rig import Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import parse_known_distance
 
 MAX_FIELD_OF_VIEW_DEG = 170.0
 """Widest view of a rectified picture; wider ones are of fisheye lenses."""
@@ -99,10 +99,7 @@ class KnownDistance:
         Raises:
             InputError: If it is none.
         """
-        match = re.fullmatch(r"(\d{1,6}),(\d{1,6})=(\d*\.?\d+)", text)
-        if match is None or not float(match[3]) > 0:
-            raise InputError(f"--known {text}: write it as COLUMN,ROW=METRES, such as 320,240=2.5")
-        return cls(int(match[1]), int(match[2]), float(match[3]))
+        return cls(*parse_known_distance(text))
 
     def check_size(self, width: int, height: int) -> None:
         """Check that the pixel is one of views of this size.

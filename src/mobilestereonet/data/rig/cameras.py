@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mobilestereonet.data.sizes import wrong_size
 from mobilestereonet.errors import InputError
 
 Matrix: TypeAlias = NDArray[np.float64]
@@ -174,25 +175,6 @@ class CameraPair:
             )
         )
         return bool(alike and parallel and along_x and stays and not bend)
-
-
-def wrong_size(own: Size, size: Size, what: str) -> InputError:
-    """The error that pictures have another size than the calibration's."""
-    message = (
-        f"{what} {own[0]}x{own[1]}, these have {size[0]}x{size[1]} (width x height): give the "
-        "calibration of these views"
-    )
-    if same_shape(own, size):
-        factor = f"{size[0] / own[0]:.6g}"
-        message += f"; --resized says that they were only resized, here by {factor}"
-    elif own == size[::-1]:
-        message += "; the file's size is height, width: write the width first"
-    return InputError(message)
-
-
-def same_shape(own: Size, size: Size) -> bool:
-    """Whether one size is the other one resized, up to a pixel."""
-    return abs(size[1] - size[0] / own[0] * own[1]) <= 1
 
 
 def resized_matrix(matrix: Matrix, factors: tuple[float, float]) -> Matrix:

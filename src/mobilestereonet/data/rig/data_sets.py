@@ -8,7 +8,7 @@ import numpy as np
 
 from mobilestereonet.data.rig.camera_info import calibrated_pair, in_metres
 from mobilestereonet.data.rig.cameras import Matrix, Size, checked_rotation
-from mobilestereonet.data.rig.description import Description, Geometry
+from mobilestereonet.data.rig.description import Description, Geometry, chosen_two
 from mobilestereonet.data.rig.entries import Entries
 from mobilestereonet.data.rig.lenses import camera_of
 from mobilestereonet.data.rig.rectified import from_cameras, from_projections
@@ -90,12 +90,7 @@ def _chosen(numbers: list[int]) -> tuple[tuple[int, int], tuple[str, ...]]:
         others = [number for number in numbers if number not in COLOUR_CAMERAS]
         note = "cameras 2 and 3, the colour ones; the grey ones are --cameras 0 1"
         return COLOUR_CAMERAS, (note,) if others else ()
-    if len(numbers) != 2:
-        raise InputError(
-            f"it tells about the camera(s) {', '.join(map(str, numbers))}: name the left and the "
-            "right one, such as --cameras 0 1"
-        )
-    return (numbers[0], numbers[1]), ()
+    return chosen_two(numbers, "P"), ()
 
 
 def _tells_raw(entries: Entries, number: int) -> bool:

@@ -105,3 +105,18 @@ def one_size(left: Size | None, right: Size | None) -> Size | None:
     if None not in (left, right) and left != right:
         raise InputError(f"the pictures are {left} (left) and {right} (right), not of one size")
     return left or right
+
+
+def chosen_two(numbers: list[int], name: str) -> tuple[int, int]:
+    """The two cameras that a file has.
+
+    Raises:
+        InputError: If it has others.
+    """
+    if len(numbers) != 2:
+        known = " ".join(f"{name}{number}" for number in numbers)
+        raise InputError(
+            f"the file has {len(numbers)} camera(s), {known}: name the left and the right one, "
+            "such as --cameras 0 1"
+        )
+    return numbers[0], numbers[1]

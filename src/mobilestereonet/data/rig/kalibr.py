@@ -9,6 +9,7 @@ from mobilestereonet.data.rig.cameras import Camera, Size
 from mobilestereonet.data.rig.description import (
     Description,
     Pose,
+    chosen_two,
     matrix_of_numbers,
     one_size,
     pair_of,
@@ -75,21 +76,6 @@ def read_sensors(
     """
     poses = [Pose.of_matrix(matrix_of(one, "T_BS", (4, 4)), "T_BS") for one in (first, second)]
     return _ordered([first, second], names, poses[1].inverse().after(poses[0]), told)
-
-
-def chosen_two(numbers: list[int], name: str) -> tuple[int, int]:
-    """The two cameras that a file has.
-
-    Raises:
-        InputError: If it has others.
-    """
-    if len(numbers) != 2:
-        known = " ".join(f"{name}{number}" for number in numbers)
-        raise InputError(
-            f"the file has {len(numbers)} camera(s), {known}: name the left and the right one, "
-            "such as --cameras 0 1"
-        )
-    return numbers[0], numbers[1]
 
 
 def _ordered(cameras: list[Entries], names: tuple[str, str], pose: Pose, told: Told) -> Description:

@@ -12,7 +12,6 @@ from mobilestereonet.data.rig.cameras import (
     check_camera_matrix,
     check_focal_lengths,
     check_principal_point,
-    wrong_size,
 )
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.sample import Calibration
@@ -126,8 +125,7 @@ def check_views(calibration: Calibration, size: Size) -> None:
         InputError: If it is of another one; or if it tells no size, and its principal point is
             outside, as it may be of views that were cropped.
     """
-    if calibration.size not in (None, size):
-        raise wrong_size(calibration.size, size, "the calibration is of views of")
+    calibration.require_size(*size)
     (fx, fy), (cx, cy) = calibration.focal_lengths, calibration.principal_point(*size)
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     check_focal_lengths(matrix, size, "left")

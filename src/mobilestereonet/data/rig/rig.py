@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from mobilestereonet.data.rig.camera_info import pair_of_infos
-from mobilestereonet.data.rig.cameras import CameraPair, Size, same_shape, wrong_size
+from mobilestereonet.data.rig.cameras import CameraPair, Size
 from mobilestereonet.data.rig.description import Geometry
 from mobilestereonet.data.rig.formats import describe
 from mobilestereonet.data.rig.rectified import check_views
 from mobilestereonet.data.rig.told import Told
 from mobilestereonet.data.sample import Calibration
+from mobilestereonet.data.sizes import same_shape, wrong_size
 from mobilestereonet.errors import InputError
 
 

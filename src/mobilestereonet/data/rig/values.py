@@ -102,12 +102,6 @@ def size_of(width: float, height: float) -> Size | None:
     return round(width), round(height)
 
 
-def text_of(entries: Entries, names: Iterable[str]) -> str:
-    """Look up a text, in lower case without what separates its words; empty if there is none."""
-    value = next((entries[name] for name in names if name in entries), "")
-    return re.sub(r"[^a-z0-9]", "", str(value).lower().rpartition(".")[2])
-
-
 def listed(entries: Iterable[str]) -> str:
     """Some names for a message."""
     names = [str(name) for name in entries]
