@@ -107,3 +107,12 @@ def test_one_camera_of_vins_fusion(tmp_path):
     path.write_text(VINS.partition("distortion")[0] + VINS[VINS.index("projection") :])
     calibration = Rig.read(path, baseline=0.11).geometry(SIZE)
     assert (calibration.focal, calibration.size) == (460, SIZE)
+
+
+def test_two_files_of_one_camera_each_are_not_merged(tmp_path):
+    straight = VINS.partition("distortion")[0] + VINS[VINS.index("projection") :]
+    paths = [tmp_path / "cam0.yaml", tmp_path / "cam1.yaml"]
+    paths[0].write_text(straight)
+    paths[1].write_text(straight.replace("367.0", "377.0"))
+    with pytest.raises(InputError, match="none how the two stand to each other"):
+        Rig.read(paths, baseline=0.11)

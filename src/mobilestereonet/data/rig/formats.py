@@ -65,6 +65,12 @@ def _describe(files: list[Entries], names: list[str], told: Told) -> Description
         raise InputError("it is of one camera: give both files, --rig LEFT --rig RIGHT")
     merged: Entries = {}
     for entries in files:
+        twice = find_intrinsics(merged).keys() & find_intrinsics(entries).keys()
+        if twice:
+            raise InputError(
+                "each file tells about one camera, and none how the two stand to each other: "
+                "write both into one file as left: and right:, with extrinsics: or baseline:"
+            )
         merged |= entries
     for recognised, read in _FORMATS:
         if recognised(merged):
