@@ -2,16 +2,20 @@
 
 import io
 import struct
+import warnings
 import zlib
+from contextlib import ExitStack, suppress
 
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+import simplejpeg
+from PIL import EpsImagePlugin, Image, PngImagePlugin
 
 from extras import SHARED, needs_shared
 from mobilestereonet.data import read_image
 from mobilestereonet.data.image_files import MAX_IMAGE_PIXELS, decode_image, read_frames
+from mobilestereonet.data.quiet import quiet_decoders
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import load_pair
 
@@ -224,6 +228,104 @@ def test_both_pictures_of_an_mpo(tmp_path):
     assert np.abs(second.astype(int) - SCENE[:, ::-1]).mean() < 4
     left.save(tmp_path / "a.jpg")
     assert len(read_frames(tmp_path / "a.jpg")) == 1
+
+
+def test_a_damaged_picture_of_an_mpo_is_refused(tmp_path):
+    whole = encoded("MPO", save_all=True, append_images=[Image.fromarray(SCENE)], quality=90)
+    path = tmp_path / "a.mpo"
+    damaged = [whole[: len(whole) * 3 // 4]]
+    for middle in (len(whole) // 4, len(whole) * 3 // 4):
+        for hole in (500, 1200):
+            damaged.append(whole[: middle - hole // 2] + bytes(hole) + whole[middle + hole // 2 :])
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"a.mpo: not an image that is whole"):
+            read_frames(path)
+
+
+def test_data_that_a_hole_has_shifted_are_no_filling_bytes(tmp_path):
+    whole = encoded("JPEG", quality=95)
+    refused = 0
+    for middle in range(1000, 3600, 100):
+        content = whole[:middle] + bytes(200) + whole[middle + 200 :]
+        with suppress(ValueError):
+            simplejpeg.decode_jpeg(content, "GRAY", strict=True)
+            continue  # libjpeg warns of nothing
+        (tmp_path / "a.jpg").write_bytes(content)
+        with pytest.raises(InputError, match="not an image that is whole"):
+            read_image(tmp_path / "a.jpg")
+        refused += 1
+    assert refused > 5
+
+
+def test_a_photo_with_a_preview_is_one_picture(tmp_path):
+    small = Image.fromarray(SCENE).reduce(2)
+    (tmp_path / "a.jpg").write_bytes(encoded("MPO", save_all=True, append_images=[small]))
+    (frame,) = read_frames(tmp_path / "a.jpg")
+    assert frame.shape == SCENE.shape
+
+
+def test_no_other_program_sees_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("it was run"))
+    (tmp_path / "a.png").write_bytes(encoded("EPS"))
+    with pytest.raises(InputError, match="not an image"):
+        read_image(tmp_path / "a.png")
+
+
+def wrong_scan_header(content):
+    """As some telephones write it."""
+    at = content.rfind(b"\xff\xda")
+    at += 2 + content[at + 3]
+    return content[: at - 3] + bytes(3) + content[at:]
+
+
+@pytest.mark.parametrize("form", ["jpeg", "restart.jpeg", "grey.jpeg", "revision"])
+def test_a_harmless_warning_hides_no_damage(tmp_path, form):
+    if form == "revision":
+        noted = WHOLE["jpeg"].replace(b"JFIF\0\1", b"JFIF\0\3", 1)
+    else:
+        noted = wrong_scan_header(WHOLE[form])
+    path = tmp_path / "a.jpg"
+    path.write_bytes(noted)
+    image = read_image(path)
+    assert np.abs(image.astype(int).mean() - SCENE.mean()) < 3
+    middle = len(noted) // 2
+    for content in (
+        noted[:middle],
+        noted[:middle] + b"\xff\xd9",
+        noted[:middle] + bytes(200) + noted[middle + 200 :],
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="not an image that is whole"):
+            read_image(path)
+
+
+def test_long_texts_in_a_png_are_no_damage(tmp_path):
+    texts = PngImagePlugin.PngInfo()
+    texts.add_text("parameters", "a" * 2_000_000, zip=True)
+    path = tmp_path / "a.png"
+    whole = encoded("PNG", pnginfo=texts, exif=note(3))
+    path.write_bytes(whole)
+    np.testing.assert_array_equal(read_image(path), SCENE[::-1, ::-1])
+    path.write_bytes(whole.replace(b"IDAT", b"IDAT\1", 1))
+    with pytest.raises(InputError, match="not an image that is whole"):
+        read_image(path)
+
+
+def test_the_callers_settings_stay(tmp_path):
+    path = tmp_path / "a.png"
+    path.write_bytes(WHOLE["png"])
+    logging = cv2.utils.logging
+    before = logging.getLogLevel(), list(warnings.filters)
+    assert "PIL" not in str(before)
+    first, second = ExitStack(), ExitStack()
+    for context in (first, second):  # of two threads, the first leaves first
+        context.enter_context(quiet_decoders)
+    first.close()
+    read_image(path)
+    assert logging.getLogLevel() == logging.LOG_LEVEL_SILENT
+    second.close()
+    assert (logging.getLogLevel(), list(warnings.filters)) == before
 
 
 @needs_shared

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,16 +12,14 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import simplejpeg
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.data.images import Array
+from mobilestereonet.data.jpeg_files import check_jpeg, cut_frames
+from mobilestereonet.data.png_files import SIGNATURE, check_png, png_pixels
+from mobilestereonet.data.quiet import quiet_decoders
 from mobilestereonet.errors import InputError
-
-# What is wrong with a file is told by our own error; two threads may read at once, so that no
-# filter can be set for the time of a call.
-warnings.filterwarnings("ignore", module=r"PIL\.")
 
 MAX_IMAGE_PIXELS = 178_956_970
 """Largest picture that is decoded: Pillow's limit, above which a header is more likely damaged."""
@@ -41,8 +38,8 @@ _TURNED: dict[int, tuple[str, Callable[[Array], Array]]] = {
 }
 """What each orientation of EXIF asks a viewer to do, in words and in NumPy."""
 
-_HARMLESS_WARNING = "extraneous bytes before marker 0xd9"
-"""Of libjpeg, about filling bytes behind the data, which some cameras write."""
+_PILLOW_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP", "JPEG2000", "GIF")
+"""What Pillow may open ("JPEG" is MPO, too): it would hand EPS files to another program."""
 
 _BITS_TAG = 258
 _PHOTOMETRIC_TAG = 262
@@ -119,7 +116,10 @@ def read_image(path: str | Path) -> Array:
 
 def read_image_file(path: str | Path) -> ImageFileContent:
     """Read an image as `read_image` does, and how it was turned; the errors are the same."""
-    content = read_bytes(path)
+    return _read(path, read_bytes(path))
+
+
+def _read(path: str | Path, content: bytes) -> ImageFileContent:
     stored = _decode(path, content)
     image = stored.levels
     if image.dtype not in (np.uint8, np.uint16, np.float32):
@@ -137,53 +137,60 @@ def read_image_file(path: str | Path) -> ImageFileContent:
 
 
 def read_frames(path: str | Path) -> list[Array]:
-    """Read all pictures of a file that may hold several, such as the MPO of stereo cameras.
+    """Read both pictures of a stereo camera's MPO file, or the one of any other.
 
     Returns:
-        RGB images as `read_image` gives them, in the file's order.
+        RGB images as `read_image` gives them: two of one size, left and right, or one.
 
     Raises:
         FileNotFoundError: If there is no such file.
         InputError: As `read_image`.
     """
-    image = _open(path, read_bytes(path))
-    if image is None or image.format != "MPO":
-        return [read_image(path)]
-    frames = []
-    for index in range(image.n_frames):
+    content = read_bytes(path)
+    image, frames = _open(path, content), [content]
+    if image is not None and image.format == "MPO":
         with _damage_reported(path):
-            image.seek(index)
-            pixels = np.asarray(image.convert("RGB"))
-        _, turn = _TURNED.get(_orientation(image), ("", np.asarray))
-        frames.append(np.ascontiguousarray(turn(pixels)))
-    return frames
+            frames = cut_frames(image, content)
+    return [_read(path, frame).pixels for frame in frames]
 
 
 def upright(image: Image.Image) -> tuple[Image.Image, str]:
     """A PIL image as a viewer shows it, and how it was turned, in words."""
-    turned, _ = _TURNED.get(_orientation(image), ("", np.asarray))
+    turned, _ = _TURNED.get(_orientation(image.getexif), ("", np.asarray))
     return (ImageOps.exif_transpose(image) if turned else image), turned
 
 
 def _decode(path: str | Path, content: bytes) -> _Stored:
+    if content.startswith(SIGNATURE):
+        return _decode_png(path, content)
     image = _open(path, content)
     if image is None:  # a format that OpenCV alone may know
         return _Stored(_decode_by_opencv(path, content))
-    if image.format == "PNG":
-        with _damage_reported(path):
-            image.verify()  # the chunks' checksums: what they hold is for OpenCV to unpack
-        # Pillow unpacks the whole picture to find EXIF, which few have.
-        noted = _orientation(_open(path, content)) if b"eXIf" in content else 1
-        return _Stored(_decode_by_opencv(path, content), noted)
-    orientation = _orientation(image)
+    orientation = _orientation(image.getexif)
     if image.format == "TIFF":
         return _Stored(_decode_tiff(path, content, image), orientation, applied=True)
     if image.format in ("JPEG", "MPO"):
-        _check_jpeg(path, content)
+        with _damage_reported(path):
+            check_jpeg(content)
     else:
         with _damage_reported(path):
             image.load()
     return _Stored(_decode_by_opencv(path, content), orientation)
+
+
+def _decode_png(path: str | Path, content: bytes) -> _Stored:
+    with _damage_reported(path):
+        pixels = png_pixels(content)
+        exif = check_png(content)
+    if pixels > MAX_IMAGE_PIXELS:
+        raise _too_large(path, pixels)
+
+    def read_exif() -> Image.Exif:
+        notes = Image.Exif()
+        notes.load(exif)
+        return notes
+
+    return _Stored(_decode_by_opencv(path, content), _orientation(read_exif))
 
 
 def _decode_tiff(path: str | Path, content: bytes, image: Any) -> Array:
@@ -201,7 +208,7 @@ def _decode_tiff(path: str | Path, content: bytes, image: Any) -> Array:
 
 def _decode_by_opencv(path: str | Path, content: bytes) -> Array:
     try:
-        with quiet_opencv():
+        with quiet_decoders:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:  # empty, or more pixels than it takes
         image = None
@@ -213,37 +220,31 @@ def _decode_by_opencv(path: str | Path, content: bytes) -> Array:
     return np.asarray(image)
 
 
-@contextmanager
-def quiet_opencv() -> Iterator[None]:
-    """Context in which OpenCV's decoders do not write to the terminal."""
-    logging = cv2.utils.logging
-    level = logging.getLogLevel()
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(level)
-
-
 def _open(path: str | Path, content: bytes) -> Any:
     """The file as Pillow sees it, not decoded yet; None if it does not know the format."""
     try:
-        return Image.open(io.BytesIO(content))
+        with quiet_decoders:
+            return Image.open(io.BytesIO(content), formats=_PILLOW_FORMATS)
     except Image.DecompressionBombError as error:
         pixels = next(iter(re.findall(r"\d+", str(error))), "too many")
-        raise InputError(
-            f"{path}: {pixels} pixels, if its header is right, and at most {MAX_IMAGE_PIXELS} are "
-            "decoded: scale it down, or cut it"
-        ) from None
+        raise _too_large(path, pixels) from None
     except UnidentifiedImageError:
         return None
     except Exception as error:  # whatever a parser makes of any bytes
         raise _damaged(path, error) from None
 
 
-def _orientation(image: Image.Image) -> int:
+def _too_large(path: str | Path, pixels: int | str) -> InputError:
+    return InputError(
+        f"{path}: {pixels} pixels, if its header is right, and at most {MAX_IMAGE_PIXELS} are "
+        "decoded: scale it down, or cut it"
+    )
+
+
+def _orientation(read_exif: Callable[[], Image.Exif]) -> int:
     try:
-        return int(image.getexif().get(ORIENTATION_TAG, 1))
+        with quiet_decoders:
+            return int(read_exif().get(ORIENTATION_TAG, 1))
     except Exception:  # EXIF that is damaged does not tell any
         return 1
 
@@ -252,7 +253,8 @@ def _orientation(image: Image.Image) -> int:
 def _damage_reported(path: str | Path) -> Iterator[None]:
     """Context in which a decoder's error becomes one that names the file."""
     try:
-        yield
+        with quiet_decoders:
+            yield
     except Exception as error:  # whatever a decoder makes of any bytes
         raise _damaged(path, error) from None
 
@@ -261,15 +263,6 @@ def _damaged(path: str | Path, reason: object) -> InputError:
     return InputError(
         f"{path}: not an image that is whole: {reason}; copy it again from where it comes from"
     )
-
-
-def _check_jpeg(path: str | Path, content: bytes) -> None:
-    """Refuse a JPEG with missing or damaged parts, which OpenCV fills with grey."""
-    try:
-        simplejpeg.decode_jpeg(content, "GRAY", min_factor=8, strict=True)
-    except ValueError as error:
-        if _HARMLESS_WARNING not in str(error) and not str(error).startswith("Unsupported"):
-            raise _damaged(path, error) from None
 
 
 def _full_range(image: Array, content: bytes) -> Array:
