@@ -1,5 +1,6 @@
 """The page's server: what it gives, and above all what it does not."""
 
+import asyncio
 import json
 import os
 import time
@@ -23,7 +24,7 @@ gr = need_extra("gradio")
 
 from mobilestereonet.web.handlers import Handlers, PageConfig  # noqa: E402
 from mobilestereonet.web.page import build_page  # noqa: E402
-from mobilestereonet.web.server import is_own_name, running  # noqa: E402
+from mobilestereonet.web.server import Guard, is_own_name, running  # noqa: E402
 
 PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
 VISITOR = SimpleNamespace(session_hash="someone")
@@ -190,6 +191,8 @@ def test_no_component_fetches_an_address(address, place):
         ({"Host": "127.0.0.1.evil.example"}, 421),
         ({"Host": "192.168.0.1"}, 421),
         ({"Host": ""}, 421),
+        ({"Host": "["}, 421),
+        ({"Host": "[evil]:7860"}, 421),
         ({"Host": "localhost:7860"}, 200),
         ({"Host": "[::1]:7860"}, 200),
         ({"Host": "localhost:7860", "Origin": "http://localhost:7860"}, 200),
@@ -211,13 +214,32 @@ def test_names_of_a_server_for_the_network():
         assert not is_own_name(name, "0.0.0.0")
 
 
-def test_headers_of_proxies_are_not_reflected(address):
-    forged = {"X-Forwarded-Host": "evil.example", "X-Forwarded-Proto": "https"}
-    forged["Forwarded"] = "host=evil.example"
+@pytest.mark.parametrize(
+    "forged",
+    [
+        {"X-Forwarded-Host": "evil.example", "X-Forwarded-Proto": "https"},
+        {"Forwarded": "host=evil.example", "X-Forwarded-For": "evil.example"},
+        {"X-Gradio-Server": "http://evil.example", "X-Forwarded-Prefix": "/evil.example"},
+    ],
+)
+def test_headers_of_proxies_are_not_reflected(address, forged):
     for path in ("", "/config"):
         _, headers, body = get(f"{address}{path}", headers=forged)
         assert b"evil.example" not in body
         assert "evil.example" not in str(headers)
+
+
+def test_web_sockets_are_closed():
+    sent = []
+
+    async def app(scope, receive, send):
+        pytest.fail("it was passed on")
+
+    async def send(message):
+        sent.append(message["type"])
+
+    asyncio.run(Guard(app)({"type": "websocket", "path": "/", "headers": []}, None, send))
+    assert sent == ["websocket.close"]
 
 
 def test_two_uploads_of_one_file_are_two_files(address):

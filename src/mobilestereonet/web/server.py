@@ -36,7 +36,15 @@ _POLICY = (
 
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_FROM_PROXIES = (b"forwarded", b"x-forwarded-host", b"x-forwarded-proto", b"x-forwarded-port")
+_FROM_PROXIES = (
+    b"forwarded",
+    b"x-forwarded-for",
+    b"x-forwarded-host",
+    b"x-forwarded-port",
+    b"x-forwarded-prefix",
+    b"x-forwarded-proto",
+    b"x-gradio-server",
+)
 """Headers that would let a visitor choose the addresses in gradio's answers."""
 
 
@@ -70,8 +78,11 @@ class Guard:
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 
-        if scope["type"] != "http":
+        if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # the page needs no web sockets
+            await send({"type": "websocket.close"})
             return
         scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in _FROM_PROXIES]
         refusal = self._refusal(scope["path"], Headers(scope=scope))
@@ -79,13 +90,19 @@ class Guard:
 
     def _refusal(self, path: str, headers: Headers) -> PlainTextResponse | None:
         host, origin = headers.get("host", ""), headers.get("origin")
-        if not is_own_name(urlsplit(f"//{host}").hostname or "", self._host):
+        if not is_own_name(_without_port(host), self._host):
             return PlainTextResponse("this server has another name", status_code=421)
         if origin is not None and origin.partition("://")[2] != host:
             return PlainTextResponse("this is for the page itself", status_code=403)
         if path.startswith("/gradio_api") and not _USED.match(path):
             return PlainTextResponse("not here", status_code=404)
         return None
+
+
+def _without_port(host: str) -> str:
+    with suppress(ValueError):  # as "[" is no address
+        return urlsplit(f"//{host}").hostname or ""
+    return ""
 
 
 def is_own_name(name: str, host: str) -> bool:
@@ -104,7 +121,8 @@ def is_own_name(name: str, host: str) -> bool:
     if host in _LOOPBACK:
         return False
     with suppress(ValueError):
-        return bool(ip_address(name))
+        ip_address(name)
+        return True
     own = gethostname().lower()
     return name in (own, own.partition(".")[0], f"{own}.local")
 
