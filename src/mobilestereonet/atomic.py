@@ -73,7 +73,7 @@ def locked_folder(folder: Path, wanted: bool = True) -> Iterator[None]:
 
     Args:
         folder: An existing folder.
-        wanted: False for the helpers of the process that has the lock.
+        wanted: False for the other ranks of the run that has the lock.
 
     Raises:
         InputError: If another process is in it.

@@ -27,6 +27,24 @@ def test_a_folder_with_something_else_stays(tmp_path):
     assert (tmp_path / "work").read_text() == "of years"
 
 
+@pytest.mark.parametrize("foreign", ["CNAME", ".git/HEAD", "runtime/notes.txt"])
+def test_what_lies_beside_a_page_stays(tmp_path, foreign):
+    for name in ("page.json", "sw.js", "worker.js", "model.onnx"):
+        (tmp_path / name).touch()
+    (tmp_path / "runtime").mkdir()
+    path = tmp_path / foreign
+    page_alone = sorted(tmp_path.iterdir())
+    if foreign == "CNAME":  # the page alone passes: the runtime is what is missing
+        with pytest.raises(InputError, match="npm install"):
+            page(tmp_path, tmp_path / "runtime")
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("of years")
+    with pytest.raises(InputError, match=rf"such a page \({foreign.split('/')[0]}.*another folder"):
+        page(tmp_path, tmp_path / "runtime")
+    assert path.read_text() == "of years"
+    assert set(page_alone) <= set(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -21,6 +21,9 @@ from mobilestereonet.nets.operations import Correlation1D
 _CACHED_ELEMENTS = 1 << 17
 """Elements of a product of matrices, which stays in the processor's cache."""
 
+_GPU_ELEMENTS = 1 << 26
+"""Elements of a product of matrices on a GPU: 256 MB, most batches at once."""
+
 
 def correlate_by_products(net: nn.Module) -> None:
     """Replace the correlations of a network, in place."""
@@ -57,7 +60,9 @@ def band(left: Tensor, right: Tensor, first: int, count: int) -> Iterator[Tensor
     """
     width = left.shape[-1]
     right = F.pad(right, (-first, first + count - 1))
-    step = max(1, _CACHED_ELEMENTS // (width * right.shape[-1]))
+    step = max(
+        1, (_GPU_ELEMENTS if left.is_cuda else _CACHED_ELEMENTS) // (width * right.shape[-1])
+    )
     lines = [view.permute(0, 2, 3, 1).flatten(0, 1) for view in (left, right)]  # (B H, W, C)
     for one, other in zip(*(view.split(step) for view in lines), strict=True):
         products = one @ other.mT

@@ -42,6 +42,9 @@ _RUNTIME = (
     "three/examples/jsm/controls/OrbitControls.js",
 )
 
+_WRITTEN = {"runtime", "model.onnx", "page.json", "example-left.png", "example-right.png"}
+"""What a page has beside its own assets and the runtime's files."""
+
 
 def export_page(
     net: StereoModel,
@@ -72,8 +75,7 @@ def export_page(
             `export_model`. The folder is then as it was.
     """
     folder, runtime = Path(folder), Path(runtime)
-    if folder.exists() and not _is_replaceable(folder):
-        raise InputError(f"{folder} holds something else than such a page: choose another folder")
+    _check_replaceable(folder)
     for name in _RUNTIME:
         if not (runtime / name).is_file():
             packages = " ".join(f"{package}@{version}" for package, version in PACKAGES.items())
@@ -107,12 +109,22 @@ def export_page(
     return export
 
 
-def _is_replaceable(folder: Path) -> bool:
-    """Whether a path is an empty folder or one that `export_page` wrote."""
-    if not folder.is_dir():
-        return False
-    names = {path.name for path in folder.iterdir()}
-    return not names or {"page.json", "sw.js", "worker.js"} <= names
+def _check_replaceable(folder: Path) -> None:
+    """Refuse a path that is something else than an empty folder or one that `export_page` wrote."""
+    if not folder.exists():
+        return
+    foreign = ""
+    if folder.is_dir():
+        names = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+        assets = {path.name for path in files(__package__).joinpath("page").iterdir()}
+        runtime = {f"runtime/{Path(name).name}" for name in _RUNTIME}
+        foreign = min(names - assets - runtime - _WRITTEN, default="")
+        if not foreign and (not names or "page.json" in names):
+            return
+    raise InputError(
+        f"{folder} holds something else than such a page{foreign and f' ({foreign})'}: choose "
+        "another folder"
+    )
 
 
 def _copy_runtime(runtime: Path, folder: Path) -> None:

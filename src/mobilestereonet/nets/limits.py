@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import get_ident
 from typing import Any
 
 import torch
@@ -28,16 +29,19 @@ def check_size(network: type[StereoModel], config: Any, name: str) -> None:
         InputError: If it has more than `MAX_MODULES` or `MAX_PARAMETERS`.
     """
     modules = parameters = 0
+    thread = get_ident()  # the hooks are the process's, and others may build networks, too
 
     def count_module(*_: Any) -> None:
         nonlocal modules
-        modules += 1
-        refuse_above(modules, MAX_MODULES, "layers")
+        if get_ident() == thread:
+            modules += 1
+            refuse_above(modules, MAX_MODULES, "layers")
 
     def count_parameter(module: nn.Module, key: str, value: nn.Parameter | None) -> None:
         nonlocal parameters
-        parameters += 0 if value is None else value.numel()
-        refuse_above(parameters, MAX_PARAMETERS, "parameters")
+        if value is not None and get_ident() == thread:
+            parameters += value.numel()
+            refuse_above(parameters, MAX_PARAMETERS, "parameters")
 
     def refuse_above(count: int, limit: int, what: str) -> None:
         if count > limit:

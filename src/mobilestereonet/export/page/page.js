@@ -17,7 +17,6 @@ async function start() {
   const count = threads === 1 ? "one thread" : `${threads} threads`;
   tell(`Ready, ${provider === "webgpu" ? "on the GPU" : `on ${count}`}. Choose two photos.`);
   $("example").disabled = false;
-  $("camera").disabled = !navigator.mediaDevices;
   progress(0);
   update();
 }
@@ -70,6 +69,12 @@ function progress(share) {
 function update() {
   $("match").disabled = busy || Boolean(stream) || !settings || !photos.left || !photos.right;
   $("example").disabled = busy || Boolean(stream);
+  $("camera").disabled = !navigator.mediaDevices || (busy && !stream);
+}
+
+// Frees a picture that is neither chosen nor shown any more.
+function release(photo) {
+  if (![photos.left, photos.right, shown?.left, undefined, null].includes(photo)) photo.close();
 }
 
 async function choose(side, blob) {
@@ -116,7 +121,9 @@ async function match() {
 }
 
 function show(result) {
+  const before = shown?.left;
   shown = result;
+  release(before);
   $("result").hidden = false;
   const { width, height, disparity } = result;
   const picture = $("picture");
@@ -212,8 +219,10 @@ async function useCamera() {
   await video.play();
   while (stream) {
     const half = video.videoWidth >> 1, height = video.videoHeight;
+    const before = { ...photos };
     photos.left = await createImageBitmap(video, 0, 0, half, height);
     photos.right = await createImageBitmap(video, half, 0, half, height);
+    Object.values(before).forEach(release);
     await match();
   }
 }

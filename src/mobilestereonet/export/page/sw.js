@@ -31,6 +31,7 @@ async function answer(request) {
     response = await fetch(request);
     if (response.status === 200) await cache.put(request, response.clone());
   }
+  if (response.type === "opaqueredirect" || response.type === "error") return response;
   const headers = new Headers(response.headers);
   headers.set("Cross-Origin-Opener-Policy", "same-origin");
   headers.set("Cross-Origin-Embedder-Policy", "require-corp");

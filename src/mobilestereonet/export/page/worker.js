@@ -65,10 +65,13 @@ async function match(left, right) {
 async function input(bitmap, width, height) {
   if (bitmap.width !== width || bitmap.height !== height) {
     const size = { resizeWidth: width, resizeHeight: height, resizeQuality: "high" };
-    bitmap = await createImageBitmap(bitmap, size);
+    const resized = await createImageBitmap(bitmap, size);
+    bitmap.close();
+    bitmap = resized;
   }
   const context = new OffscreenCanvas(width, height).getContext("2d");
   context.drawImage(bitmap, 0, 0);
+  bitmap.close();
   const { data } = context.getImageData(0, 0, width, height);
   const plane = settings.width * settings.height;
   const values = new Float32Array(3 * plane);
