@@ -286,7 +286,7 @@ class DeepPruner(RegressionModel):
         sampler: Sampler,
         random: np.random.RandomState,
     ) -> Tensor:
-        """Whole disparities of each pixel, in pixels of the features: (B, count + 2, H, W).
+        """Integer disparities of each pixel, in pixels of the features: (B, count + 2, H, W).
 
         Args:
             left: Features of the left views, (B, C, H, W).

@@ -259,7 +259,10 @@ class VolumeOutputs:
 
     @property
     def passes(self) -> list[tuple[float, VolumeOutputs]]:
-        """What a loss trains, each with its weight: these outputs, and those of a coarse pass."""
+        """Outputs that the loss trains, with their weights.
+
+        The fine pass, and the coarse pass if it learns.
+        """
         own = (1.0, self)
         return [own] if self.coarse is None else [own, (COARSE_WEIGHT, self.coarse)]
 

@@ -51,7 +51,7 @@ def comparisons() -> list[PaperTable]:
 
 
 def comparison(table: str) -> PaperTable:
-    """One of them, by its name, such as "Table 4a"."""
+    """A comparison table of the paper by its name, such as "Table 4a"."""
     rows = []
     for line in printed()[_key(table)]:
         model, name = line["model"], own_name(line["model"])

@@ -116,8 +116,8 @@ def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -
     Args:
         index: Its number.
         seconds: Time at which it is shown, in s.
-        pictures: Both views, (H, W, 3) uint8 RGB, or one picture with both side by side; None
-            where it cannot be read.
+        pictures: Both views, (H, W, 3) RGB or (H, W) grey, uint8 or uint16, or one picture with
+            both side by side; None where it cannot be read.
     """
     whole = [picture for picture in pictures if picture is not None]
     pair, problem = None, ""

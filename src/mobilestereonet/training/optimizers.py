@@ -24,7 +24,7 @@ OPTIMIZERS: dict[str, Any] = {
 def make_optimizer(
     name: str, parameters: Iterable[nn.Parameter], lr: float, options: Mapping[str, Any]
 ) -> torch.optim.Optimizer:
-    """An optimizer of a recipe.
+    """Create the optimizer that a recipe names.
 
     Args:
         name: One of `OPTIMIZERS`.
