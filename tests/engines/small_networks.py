@@ -7,9 +7,10 @@ import torch.nn.functional as F
 from torch import nn
 
 from mobilestereonet.nets import build_model
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
 from mobilestereonet.nets.operations import cost_volume
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import VolumeModel
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from torch import Tensor, nn
 
 from mobilestereonet.accelerate.planewise import correlated_band, per_view
 from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
-from mobilestereonet.nets.model import VolumeModel
 from mobilestereonet.nets.msnet import MobileStereoNet
+from mobilestereonet.nets.volume_model import VolumeModel
 
 
 class BatchedMobileStereoNet(MobileStereoNet):

@@ -30,8 +30,9 @@ from mobilestereonet.nets.coarse_pass import (
     spread_band,
 )
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
 from mobilestereonet.nets.msnet import MobileStereoNet
+from mobilestereonet.nets.volume_model import VolumeModel
 
 BLOCK_PLANES = 4
 """Disparities that go through the cost volume together; divides the number of every network."""

@@ -15,7 +15,8 @@ from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.devices import torch_device
 from mobilestereonet.engines.threads import use_threads
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.timing import time_interleaved
 
 EAGER = "eager"

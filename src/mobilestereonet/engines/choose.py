@@ -18,7 +18,8 @@ from mobilestereonet.engines.openvino import OpenVinoEngine
 from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.engines.torch import TorchEngine, has_bfloat16
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import StereoModel, VolumeModel
+from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.settings import check_arguments
 
 CONVERTED: dict[str, type[ConvertedEngine]] = {

@@ -26,7 +26,8 @@ from mobilestereonet.atomic import write_atomically
 from mobilestereonet.engines.network import NetworkEngine, regress
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from mobilestereonet.engines.threads import use_threads
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 
 
 class NetworkEngine(ABC):

@@ -12,7 +12,8 @@ from mobilestereonet.accelerate import accelerate
 from mobilestereonet.engines.devices import torch_device
 from mobilestereonet.engines.network import NetworkEngine, regress
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 

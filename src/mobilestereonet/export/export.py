@@ -32,7 +32,8 @@ from mobilestereonet.export.pt2 import PT2
 from mobilestereonet.export.refinement import Refinement
 from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.subpixel import fit_subpixel
-from mobilestereonet.nets.model import Prediction, StereoModel, VolumeModel
+from mobilestereonet.nets.model import Prediction, StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.timing import time_interleaved
 
 _LOG = logging.getLogger(__name__)

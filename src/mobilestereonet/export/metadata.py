@@ -5,7 +5,8 @@ from __future__ import annotations
 import mobilestereonet
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.model import StereoModel, VolumeModel
+from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.weights import card, is_embedded
 
 

@@ -20,7 +20,8 @@ from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
 from mobilestereonet.export.export import Export, export_model
-from mobilestereonet.nets.model import StereoModel, VolumeModel
+from mobilestereonet.nets.model import StereoModel
+from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.plots import colour_disparity
 
 PAGE_SIZE = (320, 448)

@@ -19,8 +19,6 @@ from mobilestereonet.nets.model import (
     Prediction,
     Preprocessing,
     StereoModel,
-    VolumeModel,
-    VolumeOutputs,
     trained_pixels,
 )
 from mobilestereonet.nets.registry import (
@@ -34,6 +32,7 @@ from mobilestereonet.nets.registry import (
     model_name,
     register_model,
 )
+from mobilestereonet.nets.volume_model import VolumeModel, VolumeOutputs
 
 __all__ = [
     "IMAGENET",

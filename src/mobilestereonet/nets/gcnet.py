@@ -17,10 +17,11 @@ from torch import Tensor, nn
 
 from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.blocks import conv_norm, transposed_norm
-from mobilestereonet.nets.model import Preprocessing, VolumeModel, VolumeOutputs
+from mobilestereonet.nets.model import Preprocessing
 from mobilestereonet.nets.operations import cost_volume
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import VolumeModel, VolumeOutputs
 
 FEATURES = 32
 """Channels per view that enter the cost volume."""

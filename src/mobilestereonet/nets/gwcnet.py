@@ -17,12 +17,12 @@ from mobilestereonet.nets.blocks import conv_norm, initialise
 from mobilestereonet.nets.cost_volumes import Correlation
 from mobilestereonet.nets.features import FeatureExtraction
 from mobilestereonet.nets.hourglass import Head, Hourglass, PreHourglass
-from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
 from mobilestereonet.nets.msnet import BASELINE3D, MobileStereoNet
 from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS
 from mobilestereonet.nets.operations import concatenate, cost_volume
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import VolumeModel, VolumeOutputs
 
 GROUPS = 40
 """Groups of the correlation, of 8 channels each."""

@@ -34,11 +34,11 @@ from mobilestereonet.nets.hourglass import (
     Hourglass,
     PreHourglass,
 )
-from mobilestereonet.nets.model import Band, VolumeModel, VolumeOutputs
 from mobilestereonet.nets.msnet_config import NetConfig
 from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import Band, VolumeModel, VolumeOutputs
 
 UNGUIDED_STEPS = 4
 """Every n-th training step runs unguided, so that the network also learns the coarse pass."""

@@ -18,11 +18,11 @@ from mobilestereonet.errors import check_multiple
 from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
 from mobilestereonet.nets.features import FeatureExtraction
 from mobilestereonet.nets.hourglass import Head, PreHourglass
-from mobilestereonet.nets.model import VolumeModel, VolumeOutputs
 from mobilestereonet.nets.msnet import BASELINE3D
 from mobilestereonet.nets.operations import concatenate, cost_volume
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import VolumeModel, VolumeOutputs
 
 POOLING = (8, 16, 32, 64)
 """Sides of the pyramid's pooling windows, in pixels of the features."""
