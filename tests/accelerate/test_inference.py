@@ -6,7 +6,7 @@ from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from mobilestereonet.accelerate import accelerate, onednn, rows
-from mobilestereonet.accelerate.export import guidance_in_four_dimensions
+from mobilestereonet.accelerate.export_volumes import guidance_in_four_dimensions
 from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.inference import (
     columns_first,

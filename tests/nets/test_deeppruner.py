@@ -10,7 +10,8 @@ import torch
 from extras import SHARED, needs_shared
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model
-from mobilestereonet.nets.deeppruner import expectation, pruned_range
+from mobilestereonet.nets.deeppruner import pruned_range
+from mobilestereonet.nets.deeppruner_blocks import expectation
 from mobilestereonet.nets.operations import concatenate, cost_volume
 from mobilestereonet.nets.patch_match import candidate_volume, patch_match
 from mobilestereonet.weights.released_names import released_name

@@ -11,9 +11,7 @@ result; in training each step has particles of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -21,12 +19,21 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError, check_multiple
-from mobilestereonet.nets.blocks import conv_norm, initialise, transposed_norm
+from mobilestereonet.nets.blocks import initialise
+from mobilestereonet.nets.deeppruner_blocks import (
+    PARTICLES,
+    Hourglass,
+    RangeEnd,
+    Refinement,
+    Smoothing,
+    doubled,
+    expectation,
+    reduction,
+)
 from mobilestereonet.nets.patch_match import candidate_volume, patch_match
 from mobilestereonet.nets.psmnet import FEATURES, POOLING, PyramidFeatures
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.regression import (
-    SLOPE,
     RegressionModel,
     RegressionOutputs,
     enlarged,
@@ -35,9 +42,6 @@ from mobilestereonet.nets.regression import (
 Sampler = Literal["patch_match", "uniform"]
 """How the disparities within the predicted range are chosen."""
 
-PARTICLES = 12
-"""Disparities that PatchMatch gives on the whole range; its two ends join them."""
-
 PRUNED = 7
 """Disparities within the predicted range; its two ends join them. Also its least width, in px."""
 
@@ -45,12 +49,6 @@ UPPER_QUANTILE, LOWER_QUANTILE = 0.95, 0.05
 """Shares of pixels whose disparity is to be below the predicted ends of the range."""
 
 MAX_SEED = 2**32 - 1
-
-_ACROSS = (1, 2, 2)
-"""Stride of the 3D layers: rows and columns, not the candidates."""
-
-_conv = partial(conv_norm, activation=partial(nn.LeakyReLU, SLOPE))
-"""Convolution, batch norm and leaky ReLU."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,99 +80,6 @@ class DeepPrunerConfig:
         check_multiple("max_disparity", self.max_disparity, self.scale)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"seed must be 0 .. {MAX_SEED}, got {self.seed}")
-
-
-class Hourglass(nn.Module):
-    """Scores of candidates: to an eighth of the height and width and up again, with skips.
-
-    Args:
-        add_input: The input is added to the last level, too.
-    """
-
-    def __init__(self, *, add_input: bool = False) -> None:
-        super().__init__()
-        self.add_input = add_input
-        steps = list(pairwise((16, 32, 64, 128)))
-        self.down = nn.ModuleList(_conv(3, fine, coarse, stride=_ACROSS) for fine, coarse in steps)
-        self.same = nn.ModuleList(_conv(3, coarse, coarse) for _, coarse in steps)
-        self.up = nn.ModuleList(
-            transposed_norm(3, coarse, fine, stride=_ACROSS) for fine, coarse in reversed(steps)
-        )
-        self.score = nn.Sequential(
-            _conv(3, 16, 32), nn.Conv3d(32, 1, kernel_size=3, padding=1, bias=False)
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, 16, n, H, W), H and W multiples of 8 -> scores (B, n, H, W)."""
-        levels = [x]
-        for down, same in zip(self.down, self.same, strict=True):
-            coarse = down(levels[-1])
-            levels.append(coarse + same(coarse))
-        y = levels.pop()
-        for up in self.up:
-            y, skip = up(y), levels.pop()
-            if levels or self.add_input:
-                y = y + skip
-        return cast(Tensor, self.score(y).squeeze(1))
-
-
-class Smoothing(nn.Module):
-    """A 5x5 convolution of a disparity map and one of the scores of n candidates."""
-
-    def __init__(self, candidates: int) -> None:
-        super().__init__()
-        self.disparity = nn.Sequential(nn.Conv2d(1, 1, 5, padding=2), nn.ReLU(inplace=True))
-        self.scores = _conv(2, candidates, candidates, kernel=5, bias=True)
-
-    def start_as_identity(self) -> None:
-        """Fresh weights that leave the disparity as it is.
-
-        Weights drawn around zero would as often as not give the ReLU nothing but zeros, for good.
-        """
-        conv = cast(nn.Conv2d, self.disparity[0])
-        nn.init.dirac_(conv.weight)
-        nn.init.zeros_(cast(Tensor, conv.bias))
-
-    def forward(self, disparity: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 1, H, W) and (B, n, H, W) -> a disparity and features of the same shapes."""
-        return self.disparity(disparity), self.scores(scores)
-
-
-class RangeEnd(nn.Module):
-    """Predicts one end of each pixel's range."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.hourglass = Hourglass()
-        self.smoothing = Smoothing(PARTICLES + 2)
-
-    def forward(self, volume: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 16, n, H, W) and (B, n, H, W) -> disparity (B, 1, H, W), features (B, n, H, W)."""
-        scores = self.hourglass(volume)
-        smoothed: tuple[Tensor, Tensor] = self.smoothing(expectation(scores, candidates), scores)
-        return smoothed
-
-
-class Refinement(nn.Module):
-    """Corrects a disparity by features of the left view, and doubles its size."""
-
-    def __init__(self, inputs: int) -> None:
-        super().__init__()
-        self.convs = nn.Sequential(
-            _conv(2, inputs, 32),
-            _conv(2, 32, 32),
-            _conv(2, 32, 32),
-            _conv(2, 32, 16, dilation=2),
-            _conv(2, 16, 16, dilation=4),
-            _conv(2, 16, 16),
-        )
-        self.residual = nn.Conv2d(16, 1, 3, padding=1, bias=False)
-        self.activation = nn.ReLU(inplace=True)
-
-    def forward(self, *maps: Tensor) -> Tensor:
-        """Features (B, C, H, W) and, last, the disparity (B, 1, H, W) -> (B, 1, 2 H, 2 W)."""
-        residual = self.residual(self.convs(torch.cat(maps, dim=1)))
-        return doubled(self.activation(residual + maps[-1]))
 
 
 _RELEASE: dict[str, Any] = {
@@ -221,10 +126,10 @@ class DeepPruner(RegressionModel):
         # The refined ones, the final one first; the aggregated one; both ends of the range.
         self.head_weights = (*(1.6, 1.3)[-1 - fast :], 1.0, 0.7, 0.7)
         self.features = PyramidFeatures(windows, eighth=fast)
-        self.reduce = _reduction(2 * FEATURES + 1)
+        self.reduce = reduction(2 * FEATURES + 1)
         self.lower, self.upper = RangeEnd(), RangeEnd()
         self.aggregate = nn.Sequential(
-            _reduction(2 * FEATURES + 1 + 2 * (PARTICLES + 2)), Hourglass(add_input=True)
+            reduction(2 * FEATURES + 1 + 2 * (PARTICLES + 2)), Hourglass(add_input=True)
         )
         self.smoothing = Smoothing(PRUNED + 2)
         first, *others = (64, 32) if fast else (32,)
@@ -325,12 +230,6 @@ class DeepPruner(RegressionModel):
         return (torch.stack(losses).sum(dim=0) * valid).sum() / valid.sum().clamp_min(1)
 
 
-def expectation(scores: Tensor, candidates: Tensor) -> Tensor:
-    """Mean of the candidates under the softmax of their scores: (B, n, H, W) -> (B, 1, H, W)."""
-    probability = scores.to(candidates.dtype).softmax(dim=1)
-    return (probability * candidates).sum(dim=1, keepdim=True).to(scores.dtype)
-
-
 def pruned_range(lower: Tensor, upper: Tensor, reach: int) -> tuple[Tensor, Tensor]:
     """The range between two disparities, at least `PRUNED` px wide within 0 .. reach.
 
@@ -343,13 +242,3 @@ def pruned_range(lower: Tensor, upper: Tensor, reach: int) -> tuple[Tensor, Tens
     low, high = torch.minimum(lower, upper).to(wide), torch.maximum(lower, upper).to(wide)
     low = torch.minimum(low, (low + high - PRUNED) / 2).clamp(0, reach)
     return low, torch.maximum(high, low + PRUNED).clamp_max(reach)
-
-
-def doubled(disparity: Tensor) -> Tensor:
-    """A disparity (B, 1, H, W) at twice the resolution, in pixels of that: (B, 1, 2 H, 2 W)."""
-    return 2 * enlarged(disparity, 2)
-
-
-def _reduction(inputs: int) -> nn.Sequential:
-    """3D convolutions from a volume to the 16 channels of an hourglass."""
-    return nn.Sequential(*(_conv(3, i, o) for i, o in pairwise((inputs, 64, 32, 32, 16))))
