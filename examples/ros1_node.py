@@ -59,7 +59,7 @@ def main() -> None:
             continue
         left, right, *cameras = newest.pop()
         try:
-            result = matcher(picture_of(left), picture_of(right))
+            result = matcher(picture_of(left), picture_of(right), look=False)
             answers = messages.all(left.header, result, calibration_of(*cameras))
         except InputError as error:
             rospy.logwarn_throttle(5, f"mobilestereonet: a pair is skipped: {error}")

@@ -179,3 +179,21 @@ def test_bad_input_writes_nothing(msnet, folder, options, message):
     assert message in err
     assert err.count("\n") == 1
     assert sorted(folder.rglob("*")) == before
+
+
+def test_a_recording_with_depth_needs_views_that_can_give_it(msnet, folder):
+    path = folder / "right.png"
+    cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 6, axis=0))
+    log = ("--rerun", folder / "log.rrd")
+    code, _, err = predict(msnet, folder, *log, "--calib", folder / "calib.txt")
+    assert code == 2
+    assert "say --force" in err
+    assert not (folder / "log.rrd").exists()
+
+
+def test_one_view_above_the_other_with_an_odd_width(msnet, folder):
+    views = [cv2.imread(str(folder / f"{side}.png"))[:, :-1] for side in ("left", "right")]
+    cv2.imwrite(str(folder / "both.png"), np.vstack(views))
+    both = (folder / "both.png", "-o", folder / "out", "--model", "sgbm", "--layout", "top-bottom")
+    assert msnet("predict", *both)[0] == 0
+    assert np.median(np.load(folder / "out" / "both_disparity.npy")) == pytest.approx(20, abs=0.1)

@@ -1,11 +1,16 @@
 """The first look: what it finds, puts right and leaves alone."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+import torch
 
-from mobilestereonet import InputError, StereoMatcher
-from mobilestereonet.inference import load_pair
+from mobilestereonet import Calibration, InputError, StereoMatcher
+from mobilestereonet.data.rig import Camera, CameraPair, Rig
+from mobilestereonet.inference import Rectifier, load_pair
+from mobilestereonet.inference.arrangement import Arrangement, Turn
 from mobilestereonet.inference.first_look import ViewOptions, check_whole, put_right
 
 HEIGHT, WIDTH = 180, 260
@@ -103,7 +108,7 @@ def test_the_user_overrules_the_look():
     assert same(put_right(turned, ViewOptions(rotate=180)))
     kept = put_right(load_pair(LEFT, half_turn(RIGHT)), ViewOptions(rotate=0))
     assert same(kept, LEFT, half_turn(RIGHT))
-    assert found(kept)["orientation"] == "problem"
+    assert found(kept)["orientation"] == "warning"
     stacked = load_pair(np.vstack([LEFT, RIGHT]))
     assert same(put_right(stacked, ViewOptions(layout="top-bottom")))
     beside = put_right(stacked, ViewOptions(layout="side-by-side"))
@@ -145,3 +150,130 @@ def test_the_matcher_looks_unless_it_is_told_not_to():
     kept = matcher(RIGHT, LEFT, look=False)
     np.testing.assert_array_equal(kept.left, RIGHT)
     assert [finding.check for finding in kept.findings] == ["content", "exposure"]
+
+
+SIZE = (WIDTH, HEIGHT)
+
+
+def raw_rig(angle=0.1, distortion=-0.1):
+    """Two cameras, of which the right one alone is turned and distorted."""
+    matrix = np.array([[300.0, 0, WIDTH / 2], [0, 300, HEIGHT / 2], [0, 0, 1]])
+    left, right = (Camera(matrix, np.array([d, 0, 0, 0, 0])) for d in (0.0, distortion))
+    turned = cv2.Rodrigues(np.array([0, 0, angle]))[0]
+    return Rig((CameraPair(left, right, turned, np.array([-0.1, 0, 0]), SIZE),))
+
+
+def known(**geometry):
+    """Has the calibration of rectified views."""
+    return Rectifier(Rig((Calibration(focal=300, baseline=0.1, **geometry),), "known"))
+
+
+def test_views_are_arranged_as_the_user_says_before_they_are_rectified():
+    rectifier = Rectifier(raw_rig())
+    expected = rectifier.pair(load_pair(LEFT, RIGHT))
+    swapped = put_right(load_pair(RIGHT, LEFT), ViewOptions(order="right-left"), rectifier)
+    assert same(swapped, expected.left_image, expected.right_image)
+    assert swapped.calibration == expected.calibration
+    both = load_pair(np.vstack([LEFT, RIGHT]))
+    stacked = put_right(both, None, rectifier)
+    assert same(stacked, expected.left_image, expected.right_image)
+    assert "layout" in {finding.check for finding in check_whole(both, 192, rectifier)}
+
+
+def test_rectified_views_are_not_exchanged_afterwards():
+    rectifier = Rectifier(raw_rig(angle=0.0, distortion=0.0))
+    pair = put_right(load_pair(RIGHT, LEFT), rectifier=rectifier)
+    assert found(pair) == {"order": "problem"}
+    assert "--order right-left" in {f.check: f for f in pair.findings}["order"].advice
+    expected = rectifier.pair(load_pair(RIGHT, LEFT))
+    assert same(pair, expected.left_image, expected.right_image)
+    matcher = StereoMatcher.from_pretrained("sgbm", max_disparity=64, rig=rectifier.rig)
+    result = matcher(RIGHT, LEFT)
+    np.testing.assert_array_equal(result.left, expected.left_image)
+    assert "order" in {f.check for f in result.findings if f.level == "problem"}
+
+
+def cropped(columns):
+    """The pair of cameras that see all things moved by as many columns more."""
+    if columns > 0:
+        return LEFT[:, :-columns].copy(), RIGHT[:, columns:].copy()
+    return LEFT[:, -columns:].copy(), RIGHT[:, :columns].copy()
+
+
+CONVERGING = cropped(-40)  # disparities of -32 to -16 px
+
+
+def test_cameras_that_converge_are_in_order_if_their_calibration_says_so():
+    converging = load_pair(*CONVERGING)
+    assert found(put_right(converging)) == {"order": "fixed"}
+    pair = put_right(converging, rectifier=known(doffs=60))
+    assert same(pair, *CONVERGING)
+    assert found(pair) == {"range": "problem"}  # nothing is searched below 0
+    assert "--shift -" in {f.check: f for f in pair.findings}["range"].advice
+    assert found(put_right(converging, rectifier=known(doffs=60), shift=-48)) == {}
+    levels = {f.check: f.level for f in check_whole(converging, 192, known(doffs=60))}
+    assert levels["order"] == "good"
+    half = load_pair(CONVERGING[0], half_turn(CONVERGING[1]))
+    assert same(put_right(half, rectifier=known(doffs=60), shift=-48), *CONVERGING)
+
+
+def test_the_rig_of_exchanged_files_is_that_of_the_right_order():
+    geometry = known(doffs=5, cx=120, cy=80)
+    expected = put_right(load_pair(LEFT, RIGHT), rectifier=geometry).calibration
+    for options in (None, ViewOptions(order="right-left")):
+        pair = put_right(load_pair(RIGHT, LEFT), options, geometry)
+        assert same(pair)
+        assert pair.calibration == expected
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "principal", "doffs"),
+    [
+        (Arrangement(left=Turn(180), right=Turn(180), swapped=True), (WIDTH - 126, 99), 5),
+        (Arrangement(left=Turn(180), right=Turn(180)), (WIDTH - 121, 99), -5),
+        (Arrangement(swapped=True), (125, 80), -5),
+        (Arrangement(right=Turn(180)), (120, 80), WIDTH - 126 - 120),
+    ],
+)
+def test_the_calibration_follows_the_views(arrangement, principal, doffs):
+    given = Calibration(focal=300, baseline=0.1, doffs=5, cx=120, cy=80)
+    pair = arrangement(replace(load_pair(LEFT, RIGHT), calibration=given))
+    assert (pair.calibration.cx, pair.calibration.cy) == principal
+    assert pair.calibration.doffs == doffs
+    unknown = arrangement.calibration(replace(given, doffs=0, cx=None, cy=None), SIZE)
+    assert (unknown.cx, unknown.cy, unknown.doffs) == (None, None, 0)
+
+
+def test_a_calibration_of_views_side_by_side_does_not_fit_views_that_are_turned():
+    given = Calibration(focal=300, baseline=0.1)
+    upright = replace(load_pair(np.rot90(LEFT), np.rot90(RIGHT)), calibration=given)
+    with pytest.raises(InputError, match="--rotate 0"):
+        put_right(upright)
+
+
+def test_a_search_that_begins_elsewhere():
+    converging = load_pair(*CONVERGING)
+    assert found(put_right(converging, shift=-48)) == {}
+    few = StereoMatcher.from_pretrained("sgbm", max_disparity=64, shift=-48)
+    assert found(few(*CONVERGING)) == {}
+    assert found(few(LEFT, RIGHT)) == {"range": "problem"}  # up to 24 px, and it ends at 16
+    near = load_pair(*cropped(60))  # 68 to 84 px
+    assert found(put_right(near, max_disparity=64)) == {"range": "problem"}
+    assert found(put_right(near, max_disparity=64 + 40, shift=40)) == {}
+    assert found(put_right(load_pair(LEFT, RIGHT), max_disparity=104, shift=40)) == {
+        "range": "warning"
+    }
+
+
+def test_one_view_above_the_other_with_odd_sides():
+    views = LEFT[:, 1:], RIGHT[:, 1:]
+    pair = load_pair(np.vstack(views), top_bottom=True)
+    assert same(put_right(pair, ViewOptions(layout="top-bottom")), *views)
+    tensor = torch.from_numpy(np.vstack(views)).permute(2, 0, 1)
+    assert same(load_pair(tensor, top_bottom=True), *views)
+    odd = np.vstack([LEFT, RIGHT])[1:]
+    with pytest.raises(InputError, match="359 px high"):
+        load_pair(odd, top_bottom=True)
+    with pytest.raises(InputError, match="359 px high"):
+        put_right(load_pair(odd), ViewOptions(layout="top-bottom"))
+    assert put_right(load_pair(odd)).height == 359

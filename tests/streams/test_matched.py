@@ -2,13 +2,24 @@
 
 import time
 
+import cv2
 import numpy as np
 import pytest
 from noise_pairs import centre, make_pair
 
 from mobilestereonet import Calibration, InputError
-from mobilestereonet.inference import load_pair
-from mobilestereonet.streams import StereoFrame, Stream, match_stream, open_stream
+from mobilestereonet.data.rig import Camera, CameraPair, Rig
+from mobilestereonet.inference import Rectifier, load_pair
+from mobilestereonet.inference.first_look import ViewOptions
+from mobilestereonet.streams import (
+    StereoFrame,
+    Stream,
+    look_at_pairs,
+    look_at_stream,
+    match_stream,
+    open_stream,
+)
+from mobilestereonet.streams.pairs import PairFiles
 
 
 def test_a_loop_over_folders(matcher, sequence):
@@ -57,3 +68,66 @@ def test_real_time_drops_what_comes_while_matching(matcher, monkeypatch):
     assert taken == sorted(taken)
     assert taken[-1] == 19
     assert len(taken) < 15
+
+
+def raw_rig():
+    """Two cameras, of which the right one alone is turned."""
+    camera = Camera(np.array([[200.0, 0, 80], [0, 200, 24], [0, 0, 1]]), np.zeros(5))
+    turned = cv2.Rodrigues(np.array([0, 0, 0.1]))[0]
+    return Rig((CameraPair(camera, camera, turned, np.array([-0.1, 0, 0]), (160, 48)),))
+
+
+def stream_of(*pairs, **known):
+    def frames():
+        for index, pair in enumerate(pairs):
+            yield StereoFrame(index, str(index), index / 10, load_pair(*pair))
+
+    return Stream(frames(), len(pairs), **known)
+
+
+def test_frames_of_a_rig_are_rectified_once(matcher, sequence):
+    matcher.rectifier = Rectifier(raw_rig())
+    left, right = sequence / "left", sequence / "right"
+    expected = matcher.rectifier.pair(load_pair(left / "view_0.png", right / "view_0.png"))
+    frame, result = next(match_stream(str(left), matcher, right=str(right)))
+    np.testing.assert_array_equal(result.left, expected.left_image)
+    assert frame.calibration == result.calibration == expected.calibration
+
+
+def test_a_raw_rig_and_a_source_that_is_rectified_are_refused(matcher, tmp_path):
+    matcher.rectifier = Rectifier(raw_rig())
+    calibration = Calibration(focal=100, baseline=0.2)
+    pair = make_pair(9)
+    with pytest.raises(InputError, match="rectified already"):
+        next(match_stream(stream_of(pair, calibration=calibration), matcher))
+    paths = tmp_path / "left.png", tmp_path / "right.png"
+    for path, view in zip(paths, pair, strict=True):
+        cv2.imwrite(str(path), view)
+    files = [PairFiles("a", *paths, calibration=calibration)]
+    with pytest.raises(InputError, match="rectified already"):
+        look_at_pairs(files, rectifier=matcher.rectifier)
+
+
+def test_what_the_source_knows_follows_its_views(matcher):
+    calibration = Calibration(focal=100, baseline=0.2, doffs=3, cx=70, cy=20)
+    left, right = make_pair(9)
+    turned = [np.ascontiguousarray(view[::-1, ::-1]) for view in (right, left)]
+    options = ViewOptions(order="right-left", rotate=180)
+    _, stream = look_at_stream(stream_of(turned[::-1], calibration=calibration), options)
+    assert (stream.calibration.cx, stream.calibration.cy) == (159 - 73, 47 - 20)
+    assert stream.calibration.doffs == 3
+    np.testing.assert_array_equal(next(stream.frames).pair.left_image, right)
+
+
+def test_a_stream_that_starts_in_the_dark(matcher):
+    dark = np.zeros((48, 160, 3), np.uint8)
+    left, right = make_pair(9)
+    frames = [(dark, dark), (dark, dark + 1), (right, left), (right, left)]
+    findings, stream = look_at_stream(stream_of(*frames))
+    assert {f.check: f.level for f in findings}["order"] == "fixed"
+    pairs = [frame.pair for frame in stream.frames]
+    assert len(pairs) == 4
+    np.testing.assert_array_equal(pairs[3].left_image, left)
+    findings, stream = look_at_stream(stream_of(*frames[:2]))
+    assert [f.check for f in findings if f.level == "problem"] == ["content"]
+    assert len(list(stream.frames)) == 2

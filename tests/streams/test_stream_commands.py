@@ -214,3 +214,26 @@ def test_depth_of_views_that_cannot_give_it_is_refused(msnet, sequence, command)
     code, _, _ = msnet(command, *views, *place, *depth, "--force")
     assert code == 0
     assert len(list(maps.iterdir())) == (11 if command == "batch" else 22)
+
+
+def test_a_look_stops_only_what_writes_depth(msnet, sequence):
+    for path in (sequence / "right").iterdir():
+        assert cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 6, axis=0))
+    matrix = "[100 0 80; 0 100 24; 0 0 1]"
+    (sequence / "calib.txt").write_text(f"cam0={matrix}\ncam1={matrix}\nbaseline=200\n")
+    views, rig = (sequence / "left", sequence / "right"), ("--rig", sequence / "calib.txt")
+    assert msnet("video", *views, "-o", sequence / "out.mp4", *rig)[0] == 0
+    bag = ("-o", sequence / "maps", "--bag", sequence / "out.mcap")
+    code, _, err = msnet("batch", *views, *bag, *rig)
+    assert code == 2
+    assert "say --force" in err
+    assert msnet("batch", *views, *bag)[0] == 0
+
+
+def test_an_output_that_is_a_folder_is_told_before_the_work(msnet, sequence):
+    (sequence / "b.mcap").mkdir()
+    views = sequence / "left", sequence / "right"
+    code, _, err = msnet("batch", *views, "-o", sequence / "a", "--bag", sequence / "b.mcap")
+    assert code == 2
+    assert "b.mcap" in err
+    assert not (sequence / "a").exists()

@@ -190,6 +190,18 @@ def test_without_calibration_there_is_no_depth(session, matcher):
         assert session.file("answer", CLOUD) is None
 
 
+def test_views_that_cannot_give_depth_give_none(root, sessions, upload, matcher):
+    noise = np.random.default_rng(0).integers(0, 256, (120, 260, 3), dtype=np.uint8)
+    wide = cv2.GaussianBlur(noise, (0, 0), 1)
+    session = sessions["someone else"]
+    for side, view in (("left", wide[:, :240]), ("right", np.roll(wide, 6, axis=0)[:, 20:])):
+        admit(upload(view), root, session, side, UploadLimits())
+    found = answer(session, matcher, Geometry(focal=50, baseline=0.2))
+    assert any("no depth and no points of such views (rectified)" in note for note in found.notes)
+    assert found.readings["depth"] is None
+    assert not any("depth" in path.name or "points" in path.name for path in found.files)
+
+
 def test_an_engine_without_confidence(session):
     found = answer(session, StereoMatcher.from_pretrained("sgbm"), Geometry(50, 0.2, 0, 100, 0.5))
     assert found.confidence is None

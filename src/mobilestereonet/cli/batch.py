@@ -13,7 +13,7 @@ from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import OutputFolder, PairBy
 from mobilestereonet.cli.sinks import SinkOptions
-from mobilestereonet.cli.views import ViewsOptions
+from mobilestereonet.cli.views import ViewFlags
 
 
 def batch(
@@ -50,7 +50,7 @@ def batch(
     workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
     gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
     pair_by: PairBy = None,
-    views: ViewsOptions,
+    views: ViewFlags,
     sinks: SinkOptions,
     options: MatcherOptions,
     filters: FilterOptions,
@@ -89,7 +89,7 @@ def batch(
     pairs = find_pairs(left, right, pair_by)
     for pair in pairs:
         note_inputs(pair.left, pair.right)
-    check_outputs(*(path for pair in pairs for path in files.paths(pair.name)))
+    check_outputs(*(path for pair in pairs for path in files.paths(pair.name)), *sinks.files)
     if files.needs_calibration and not rectifier and any(p.calibration is None for p in pairs):
         raise InputError("depth needs --rig FILE, or --focal and --baseline")
     cpus = options.threads or 1
@@ -99,8 +99,9 @@ def batch(
     if options.model is not None and Path(options.model).exists():
         options = replace(options, model=str(Path(options.model).absolute()))
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
-    findings, arrangement = look_at_pairs(todo, views.views, rectifier)
-    views.report(findings, metric=files.needs_calibration)
+    findings, arrangement = look_at_pairs(todo, views.views, rectifier, shift=options.shift)
+    known = rectifier is not None or any(pair.calibration for pair in pairs)
+    views.report(findings, metric=files.needs_calibration or (known and bool(sinks.given)))
     make_folder(output)
     summary, stack = "", ExitStack()
     if ray is None:

@@ -31,9 +31,7 @@ def doctor(
 
     colours = {"good": "green", "fixed": "green", "problem": "red"}
     rectifier, pair = files.read(), load_pair(left, right)
-    if rectifier is not None:
-        pair = rectifier.pair(pair)
-    findings = check_whole(pair, max_disparity)
+    findings = check_whole(pair, max_disparity, rectifier)
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:

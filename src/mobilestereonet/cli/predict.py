@@ -13,7 +13,7 @@ from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, SecondView
 from mobilestereonet.cli.sinks import Rerun
-from mobilestereonet.cli.views import ViewsOptions
+from mobilestereonet.cli.views import ViewFlags
 from mobilestereonet.errors import InputError
 
 
@@ -22,7 +22,7 @@ def predict(
     right: SecondView = None,
     *,
     output: OutputFolder,
-    views: ViewsOptions,
+    views: ViewFlags,
     options: MatcherOptions,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="How sure the network is, as picture and NPY.")
@@ -71,14 +71,11 @@ def predict(
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
     check_outputs(*maps, *depth_files, *point_files)
-    rectifier, pair = cameras.read(), load_pair(left, right)
-    raw = rectifier is not None and rectifier.rectifies
-    if rectifier is not None and raw:
-        pair = rectifier.pair(pair)
-    pair = put_right(pair, views.views)
-    if rectifier is not None and not raw:
-        pair = rectifier.pair(pair)
-    views.report(pair.findings, metric=bool(depth_files or point_files))
+    rectifier = cameras.read()
+    pair = load_pair(left, right, top_bottom=views.layout == "top-bottom")
+    pair = put_right(pair, views.views, rectifier, shift=options.shift)
+    deep = cameras.given and bool(depth_files or point_files or rerun)
+    views.report(pair.findings, metric=deep)
     cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)

@@ -16,7 +16,7 @@ from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import PairBy
 from mobilestereonet.cli.sinks import SinkOptions, TopicOptions
-from mobilestereonet.cli.views import ViewsOptions
+from mobilestereonet.cli.views import ViewFlags
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def video(
     ] = None,
     *,
     pair_by: PairBy = None,
-    views: ViewsOptions,
+    views: ViewFlags,
     topics: TopicOptions,
     sinks: SinkOptions,
     options: MatcherOptions,
@@ -123,15 +123,13 @@ def video(
     note_inputs(*(source.removeprefix("file://") for source in (left, right or left)))
     check_outputs(*([] if output is None else [output]), *sinks.files)
     stream = open_stream(left, right, fps, pair_by=pair_by, **asdict(topics))
-    if rectifier is not None and stream.calibration is not None and rectifier.rectifies:
-        raise InputError(f"{left} tells how its pictures are rectified: leave --rig out")
-    findings, stream = look_at_stream(stream, views.views, rectifier)
-    views.report(findings, metric=rectifier is not None or stream.calibration is not None)
+    findings, stream = look_at_stream(stream, views.views, rectifier, shift=options.shift)
+    deep = rectifier is not None or stream.calibration is not None
+    views.report(findings, metric=deep and (frames is not None or bool(sinks.given)))
     if hz is None:
         matcher = filters.open_matcher(options)
     else:
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)
-    deep = rectifier is not None or stream.calibration is not None
     kinds = ("disparity.png", "depth.png") if deep else ("disparity.png",)
     for folder in (frames, output and output.parent):
         if folder is not None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ViewsOptions:
+class ViewFlags:
     """Options that say how the views lie, where the first look errs, and what it may stop."""
 
     layout: Annotated[

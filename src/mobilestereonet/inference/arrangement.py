@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from mobilestereonet.data.images import Picture
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
 from mobilestereonet.inference.features import Matches, Points
 from mobilestereonet.inference.pair import StereoPair
 
@@ -75,15 +77,26 @@ class Arrangement:
     swapped: bool = False
 
     def __call__(self, pair: StereoPair) -> StereoPair:
-        """The pair, put right."""
+        """The pair, put right, with its calibration.
+
+        Raises:
+            InputError: If a picture with one view above the other has an odd height, or a
+                calibration cannot follow.
+        """
         if self == AS_GIVEN:
             return pair
         left, right = pair.left, pair.right
         pictures = pair.left_image, pair.right_image
-        if self.top_bottom:
+        if self.top_bottom and pair.joined:
+            if pair.height % 2:
+                raise InputError(
+                    f"the picture is {pair.height} px high, and two views one above the other need "
+                    "an even height: give them as two pictures"
+                )
             left, right = torch.cat((left, right), dim=-1).chunk(2, dim=-2)
             halves = np.array_split(np.concatenate(pictures, axis=1), 2)
             pictures = halves[0], halves[1]
+        width, height = left.shape[-1], left.shape[-2]
         views = [
             (turn.view(view).contiguous(), turn.picture(picture))
             for turn, view, picture in zip(
@@ -91,7 +104,43 @@ class Arrangement:
             )
         ]
         (left, left_image), (right, right_image) = views[::-1] if self.swapped else views
-        return replace(pair, left=left, right=right, left_image=left_image, right_image=right_image)
+        calibration = pair.calibration and self.calibration(pair.calibration, (width, height))
+        return replace(
+            pair,
+            left=left,
+            right=right,
+            left_image=left_image,
+            right_image=right_image,
+            joined=pair.joined and not self.top_bottom,
+            calibration=calibration,
+        )
+
+    def calibration(self, given: Calibration, size: tuple[int, int]) -> Calibration:
+        """Calibration of the views once they are put right.
+
+        Args:
+            given: Calibration of the views as they came.
+            size: Their width and height.
+
+        Raises:
+            InputError: If a view is turned by 90 degrees: the calibration is of cameras side by
+                side.
+        """
+        if self.left.degrees % 180 or self.right.degrees % 180:
+            raise InputError(
+                "the calibration is of the views as they came, and does not fit once they are "
+                "turned by 90 degrees: give --rotate 0, or the calibration of the turned views"
+            )
+        column, row = given.principal_point(*size)
+        places = np.array([[column, row]]), np.array([[column + given.doffs, row]])
+        turned = self.left.points(places[0], size), self.right.points(places[1], size)
+        left, right = turned[::-1] if self.swapped else turned
+        return replace(
+            given,
+            doffs=float(right[0, 0] - left[0, 0]),
+            cx=None if given.cx is None else float(left[0, 0]),
+            cy=None if given.cy is None else float(left[0, 1]),
+        )
 
     def points(self, seen: Matches, size: tuple[int, int]) -> tuple[Points, Points]:
         """Places of matches in the left and the right view, once they are put right."""
@@ -103,13 +152,16 @@ AS_GIVEN = Arrangement()
 """The left view first, upright."""
 
 
-def find_turns(seen: Matches, mirrored: bool, size: tuple[int, int]) -> Arrangement:
+def find_turns(
+    seen: Matches, mirrored: bool, size: tuple[int, int], lowest: float = 0.0
+) -> Arrangement:
     """The turns that bring both views into one direction, cameras side by side, left one first.
 
     Args:
         seen: What both views show.
         mirrored: Whether one view is mirrored against the other.
         size: Width and height of the views.
+        lowest: Disparity in px below which nothing is in front of the cameras.
 
     Returns:
         The turns; none where nothing is to be turned, or turning would not help.
@@ -117,7 +169,7 @@ def find_turns(seen: Matches, mirrored: bool, size: tuple[int, int]) -> Arrangem
     candidates = list(_candidates(seen, mirrored, size))
     if not candidates:
         return AS_GIVEN
-    return max(candidates, key=lambda turns: _share_to_the_left(turns, seen, size))
+    return max(candidates, key=lambda turns: _share_in_front(turns, seen, size, lowest))
 
 
 def _candidates(seen: Matches, mirrored: bool, size: tuple[int, int]) -> Iterator[Arrangement]:
@@ -134,9 +186,11 @@ def _candidates(seen: Matches, mirrored: bool, size: tuple[int, int]) -> Iterato
             yield Arrangement(left=Turn(degrees), right=Turn(degrees))
 
 
-def _share_to_the_left(turns: Arrangement, seen: Matches, size: tuple[int, int]) -> float:
+def _share_in_front(
+    turns: Arrangement, seen: Matches, size: tuple[int, int], lowest: float
+) -> float:
     left, right = turns.points(seen, size)
-    return float(np.mean(left[:, 0] > right[:, 0]))
+    return float(np.mean(left[:, 0] - right[:, 0] > lowest))
 
 
 def above_each_other(disparity: Points, vertical: Points) -> bool:
@@ -147,6 +201,10 @@ def above_each_other(disparity: Points, vertical: Points) -> bool:
 
 
 def is_swapped(disparity: Points) -> bool:
-    """Whether most features move to the right, seen from the left view."""
+    """Whether most features move to the right, seen from the left view.
+
+    Args:
+        disparity: Above the lowest one that there is: 0 px but for cameras that converge.
+    """
     negative, positive = float(np.mean(disparity < -1)), float(np.mean(disparity > 1))
     return negative > max(0.3, 4 * positive)

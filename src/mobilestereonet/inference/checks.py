@@ -31,6 +31,9 @@ _MAX_FEATURE_PIXELS = 1_000_000
 _SPARE_PX = 8
 """By how much a search begins below the smallest disparity of the features."""
 
+_OUTSIDE = 0.05
+"""Share of the features above which their disparities are no wrong matches."""
+
 _MISSING_ROWS = 0.1
 """Share of rows of one colour that one view has more than the other: it is damaged from then on."""
 
@@ -54,13 +57,16 @@ def quick_checks(left: Picture, right: Picture) -> list[Finding]:
     return [_content(left, right), _exposure(left, right)]
 
 
-def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[Finding]:
+def check_pair(
+    left: Picture, right: Picture, max_disparity: int = 192, doffs: float = 0.0
+) -> list[Finding]:
     """Run all checks: the quick ones, and those that match image features (a second or less).
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
         right: Right view, the same size.
         max_disparity: Disparities that the network searches, in px.
+        doffs: Difference of the principal points in px, which cameras that converge have.
 
     Returns:
         Findings on content, exposure, rectification, the order of the views and the range.
@@ -69,7 +75,8 @@ def check_pair(left: Picture, right: Picture, max_disparity: int = 192) -> list[
     if findings[0].level == "problem":
         return findings
     scale = min(1.0, (_MAX_FEATURE_PIXELS / (left.shape[0] * left.shape[1])) ** 0.5)
-    return [*findings, *look_at(left, right, scale, max_disparity).findings]
+    search = Search(max_disparity, doffs=doffs)
+    return [*findings, *look_at(left, right, scale, search).findings]
 
 
 @dataclass(frozen=True)
@@ -87,15 +94,37 @@ class Look:
     matches: int = 0
 
 
-def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = math.inf) -> Look:
+@dataclass(frozen=True)
+class Search:
+    """Disparities that are searched, and those that there can be.
+
+    Attributes:
+        end: First disparity that is not searched any more, in px.
+        start: First one that is, in px.
+        doffs: Difference of the principal points in px, where a calibration tells it: nothing in
+            front of the cameras has a disparity below its negative.
+    """
+
+    end: float = math.inf
+    start: int = 0
+    doffs: float = 0.0
+
+    @property
+    def lowest(self) -> float:
+        """Disparity from which on the views' order is in doubt no more."""
+        return min(-self.doffs, self.start)
+
+
+def look_at(left: Picture, right: Picture, scale: float, search: Search | None = None) -> Look:
     """Match features of both views, and say what follows.
 
     Args:
         left: Left view, (H, W, 3) uint8 RGB.
         right: Right view, the same size.
         scale: Factor by which the pictures are made smaller for it.
-        max_disparity: Disparities that the network searches, in px.
+        search: Disparities to judge by; by default all from 0 px on.
     """
+    search = search or Search()
     greys = [small_grey(view, scale) for view in (left, right)]
     flat = [float(np.mean(np.ptp(grey, axis=1) <= 2)) for grey in greys]
     if abs(flat[0] - flat[1]) > _MISSING_ROWS:
@@ -112,7 +141,7 @@ def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = 
     if not len(seen):
         counts = len(here.points), len(there.points)
         return Look((_nothing_in_common(counts, alike, by_chance=seen.alike),))
-    turns = find_turns(seen, mirrored, (width, height))
+    turns = find_turns(seen, mirrored, (width, height), search.lowest * scale)
     places = turns.points(seen, (width, height))
     disparity, vertical = (places[0] - places[1]).T / scale
     findings = [_turned(turns)] if turns.left or turns.right else []
@@ -121,11 +150,11 @@ def look_at(left: Picture, right: Picture, scale: float, max_disparity: float = 
         text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
         advice = "take two pictures from places side by side, not one twice"
         return Look((Finding("views", "problem", text, advice),), matches=len(seen))
-    order = _order(disparity)
-    swapped = is_swapped(disparity)
+    order = _order(disparity, search.lowest)
+    swapped = is_swapped(disparity - search.lowest)
     findings += [_rectified(vertical, height / scale, 1 / scale), order]
     if swapped or order.level != "problem":
-        findings.append(_range(-disparity if swapped else disparity, max_disparity))
+        findings.append(_range(-disparity if swapped else disparity, search))
     return Look(tuple(findings), replace(turns, swapped=swapped), len(seen))
 
 
@@ -206,14 +235,15 @@ def _rectified(vertical: Points, height: float, pixel: float) -> Finding:
     return Finding("rectified", "warning" if size <= 2 * tolerance else "problem", text, advice)
 
 
-def _order(disparity: Points) -> Finding:
-    negative = float(np.mean(disparity < -1))
+def _order(disparity: Points, lowest: float) -> Finding:
+    """Whether disparities lie above the lowest one that there is."""
+    negative = float(np.mean(disparity < lowest - 1))
     shift = -float(np.percentile(disparity, 1))
     converge = (
         "the cameras converge, or the views are cropped differently: rectify them, or let the "
         f"search begin there (--shift {-math.ceil(shift) - _SPARE_PX}); doffs is the calibration's"
     )
-    if is_swapped(disparity):
+    if is_swapped(disparity - lowest):
         text = f"{negative:.0%} of the features move to the right, seen from the left view"
         advice = (
             "the views are swapped: exchange them; but if near things are then blue in the picture "
@@ -221,32 +251,38 @@ def _order(disparity: Points) -> Finding:
         )
         return Finding("order", "problem", text, advice)
     if negative > 0.02:
-        text = f"{negative:.0%} of the features have a negative disparity, down to {-shift:.0f} px"
-        if negative > 0.05:
+        kind = f"disparity below {lowest:.0f} px" if lowest else "negative disparity"
+        text = f"{negative:.0%} of the features have a {kind}, down to {-shift:.0f} px"
+        if negative > _OUTSIDE:
             return Finding("order", "problem", text, converge)
         return Finding("order", "unknown", text, f"a few wrong matches, or {converge}")
     return Finding("order", "good", "left is left and right is right")
 
 
-def _range(disparity: Points, max_disparity: float) -> Finding:
+def _range(disparity: Points, search: Search) -> Finding:
     low, high = (float(value) for value in np.percentile(disparity, (1, 99)))
     text = f"the features' disparities go from {low:.0f} to {high:.0f} px"
-    if high > max_disparity - 1:
-        text += f", beyond the network's {max_disparity - 1}"
-        return Finding("range", "problem", text, _beyond(low, high, max_disparity))
-    if high < 5:
+    if high > search.end - 1:
+        text += f", beyond the network's {search.end - 1}"
+        return Finding("range", "problem", text, _beyond(low, high, search))
+    if float(np.mean(disparity < search.start - 1)) > _OUTSIDE:
+        text += f", and the search begins at {search.start}"
+        advice = f"let it begin below them (--shift {math.floor(low) - _SPARE_PX})"
+        # Who lets it begin above 0 wants to see near things alone.
+        return Finding("range", "warning" if search.start > 0 else "problem", text, advice)
+    if high < 5 + search.lowest:
         advice = "depth will be coarse: use larger pictures, or cameras farther apart"
         return Finding("range", "warning", text, advice)
     return Finding("range", "good", text)
 
 
-def _beyond(low: float, high: float, max_disparity: float) -> str:
+def _beyond(low: float, high: float, search: Search) -> str:
     """What to do about disparities from ``low`` to ``high``, beyond the network's."""
-    factor = 0.9 * (max_disparity - 1) / high
+    factor = 0.9 * (search.end - 1) / high
     advice = f"make both views smaller, to {factor:.2f} of their size: disparities shrink too"
     if factor >= MIN_SCALE:
         advice = f"match them smaller (--scale {factor:.2f}): disparities shrink, too"
     start = math.floor(low) - _SPARE_PX
-    if start > 0 and high < start + max_disparity - 1:
+    if start > 0 and high < start + search.end - search.start - 1:
         advice += f"; or let the search begin near {low:.0f} px (--shift {start})"
     return advice

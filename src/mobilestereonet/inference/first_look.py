@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.arrangement import AS_GIVEN, Arrangement, Turn
-from mobilestereonet.inference.checks import Look, check_pair, look_at, quick_checks
+from mobilestereonet.inference.checks import Look, Search, check_pair, look_at, quick_checks
 from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.pair import StereoPair
+from mobilestereonet.inference.rectify import Rectifier
 
 LAYOUTS = ("side-by-side", "top-bottom")
 ORDERS = ("left-right", "right-left")
@@ -30,7 +31,7 @@ _STACKED = Finding(
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """What a user says about the views; what is None the first look finds out.
+    """How the views lie, as the user says; None leaves it to the first look.
 
     Attributes:
         layout: Of one picture with both views, one of `LAYOUTS`.
@@ -57,14 +58,23 @@ class ViewOptions:
 
 
 def first_look(
-    pair: StereoPair, options: ViewOptions | None = None, max_disparity: float = math.inf
+    pair: StereoPair,
+    options: ViewOptions | None = None,
+    rectifier: Rectifier | None = None,
+    *,
+    max_disparity: float = math.inf,
+    shift: int = 0,
 ) -> tuple[Arrangement, tuple[Finding, ...]]:
     """Look at a pair before it is matched, in less than 0.3 s.
 
     Args:
         pair: The pair as it was given.
         options: What the user says about it.
-        max_disparity: Disparities that the network searches, in px.
+        rectifier: What rectifies the pair, or has its calibration, once it is arranged. Views
+            that it has rectified are of the rig's left and right camera: they are not exchanged
+            or turned afterwards.
+        max_disparity: Disparities below this are searched, in px.
+        shift: Disparity from which on they are, in px.
 
     Returns:
         What puts the pair right, to be applied to it and to all that come from the same source;
@@ -72,20 +82,22 @@ def first_look(
     """
     options = options or ViewOptions()
     start, findings = options.arrangement, list(pair.findings)
-    if pair.joined and options.layout is None and _is_stacked(pair, start):
+    if options.layout is None and _is_stacked(pair, start):
         start = replace(start, top_bottom=True)
         findings.append(_STACKED)
-    arranged = start(pair)
+    raw = rectifier is not None and rectifier.rectifies
+    arranged = _with_calibration(start(pair), rectifier)
     findings += quick_checks(arranged.left_image, arranged.right_image)
     if any(finding.level == "problem" for finding in findings):
         return start, tuple(findings)
-    look = _look(arranged, _LOOK_SIZE_PX, max_disparity)
-    found = look.arrangement
+    doffs = 0.0 if arranged.calibration is None else arranged.calibration.doffs
+    look = _look(arranged, _LOOK_SIZE_PX, Search(max_disparity, shift, doffs))
+    found = AS_GIVEN if raw else look.arrangement
     if options.rotate is not None and (found.left or found.right):
         found = AS_GIVEN  # what the user turned is not turned again
     if options.order is not None:
         found = replace(found, swapped=False)
-    findings += [_after(finding, found, options) for finding in look.findings]
+    findings += [_after(finding, found, options, raw) for finding in look.findings]
     turns = (found.right, found.left) if start.swapped else (found.left, found.right)
     return (
         Arrangement(
@@ -99,23 +111,41 @@ def first_look(
 
 
 def put_right(
-    pair: StereoPair, options: ViewOptions | None = None, max_disparity: float = math.inf
+    pair: StereoPair,
+    options: ViewOptions | None = None,
+    rectifier: Rectifier | None = None,
+    *,
+    max_disparity: float = math.inf,
+    shift: int = 0,
 ) -> StereoPair:
-    """A pair after the first look, with its findings; see `first_look`."""
-    arrangement, findings = first_look(pair, options, max_disparity)
-    return replace(arrangement(pair), findings=findings)
+    """A pair after the first look, rectified and with its findings; see `first_look`."""
+    arrangement, findings = first_look(
+        pair, options, rectifier, max_disparity=max_disparity, shift=shift
+    )
+    pair = arrangement(pair)
+    return replace(pair if rectifier is None else rectifier.pair(pair), findings=findings)
 
 
-def check_whole(pair: StereoPair, max_disparity: int) -> list[Finding]:
+def check_whole(
+    pair: StereoPair, max_disparity: int, rectifier: Rectifier | None = None
+) -> list[Finding]:
     """All checks of a pair at full size, as it was given: what is wrong is not put right.
 
     One picture with both views is split as its content says.
+
+    Args:
+        pair: The pair as it was given.
+        max_disparity: Disparities that the network searches, in px.
+        rectifier: What rectifies it, or has its calibration.
     """
     findings = list(pair.findings)
-    if pair.joined and _is_stacked(pair, AS_GIVEN):
+    if _is_stacked(pair, AS_GIVEN):
         pair = Arrangement(top_bottom=True)(pair)
         findings.append(_STACKED)
-    return [*findings, *check_pair(pair.left_image, pair.right_image, max_disparity)]
+    if rectifier is not None:
+        pair = rectifier.pair(pair)
+    doffs = 0.0 if pair.calibration is None else pair.calibration.doffs
+    return [*findings, *check_pair(pair.left_image, pair.right_image, max_disparity, doffs)]
 
 
 def findings_of(pair: StereoPair) -> tuple[Finding, ...]:
@@ -130,22 +160,44 @@ def problems(findings: Iterable[Finding]) -> list[Finding]:
     return [finding for finding in findings if finding.level == "problem"]
 
 
-def _look(pair: StereoPair, size: int, max_disparity: float = math.inf) -> Look:
+def _with_calibration(pair: StereoPair, rectifier: Rectifier | None) -> StereoPair:
+    """A pair that is rectified, or has its calibration where that fits before it is turned."""
+    if rectifier is None:
+        return pair
+    try:
+        return rectifier.pair(pair)
+    except InputError:
+        if rectifier.rectifies:
+            raise
+        return pair
+
+
+def _look(pair: StereoPair, size: int, search: Search | None = None) -> Look:
     scale = min(1.0, size / max(pair.width, pair.height))
-    return look_at(pair.left_image, pair.right_image, scale, max_disparity)
+    return look_at(pair.left_image, pair.right_image, scale, search)
 
 
 def _is_stacked(pair: StereoPair, start: Arrangement) -> bool:
     """Whether a picture's upper and lower half have more in common than its left and right one."""
+    if not pair.joined or pair.height % 2:
+        return False
+    plain = replace(pair, calibration=None)
     beside, stacked = (
-        _look(replace(start, top_bottom=layout)(pair), _LOOK_SIZE_PX // 2).matches
+        _look(replace(start, top_bottom=layout)(plain), _LOOK_SIZE_PX // 2).matches
         for layout in (False, True)
     )
     return stacked > 2 * beside
 
 
-def _after(finding: Finding, found: Arrangement, options: ViewOptions) -> Finding:
-    """A finding after what it is about was put right, or was overruled."""
+def _after(finding: Finding, found: Arrangement, options: ViewOptions, raw: bool) -> Finding:
+    """A finding after what it is about was put right, or was overruled.
+
+    Args:
+        finding: The finding.
+        found: What puts the pair right.
+        options: What the user says about it.
+        raw: Whether it was rectified before it was looked at.
+    """
     if finding.check == "orientation" and (found.left or found.right):
         advice = "it was turned; --rotate 0 leaves the views as they are"
         return replace(finding, level="fixed", advice=advice)
@@ -156,4 +208,13 @@ def _after(finding: Finding, found: Arrangement, options: ViewOptions) -> Findin
     if finding.check == "order" and finding.level == "problem" and options.order is not None:
         advice = f"the views were taken as they are, as order {options.order} says"
         return replace(finding, level="warning", advice=advice)
+    if finding.check == "orientation" and options.rotate is not None:
+        advice = f"the views were taken as they are, as rotate {options.rotate} says"
+        return replace(finding, level="warning", advice=advice)
+    if finding.check == "order" and raw and finding.advice.startswith("the views are swapped"):
+        advice = "the files are exchanged: give them in the rig's order, or --order right-left"
+        return replace(finding, advice=advice)
+    if finding.check == "orientation" and raw:
+        advice = "give the views as the rig's cameras took them, or turn them (--rotate)"
+        return replace(finding, advice=advice)
     return finding

@@ -343,9 +343,12 @@ class StereoMatcher:
             )
         pair = load_pair(left, right)
         if look:
-            if self.rectifier is not None and self.rectifier.rectifies:
-                pair = self.rectifier.pair(pair)  # of raw pictures nothing can be told
-            pair = put_right(pair, max_disparity=self.engine.max_disparity)
+            pair = put_right(
+                pair,
+                rectifier=self.rectifier,
+                max_disparity=self.max_disparity,
+                shift=self.shift,
+            )
         return self.match(pair)
 
     def match(self, pair: StereoPair) -> StereoResult:

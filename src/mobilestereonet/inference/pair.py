@@ -33,7 +33,8 @@ class StereoPair:
         left_image: Left view for pictures, (H, W, 3) uint8 RGB.
         right_image: Right view, likewise.
         findings: What was put right while the views were read.
-        joined: Whether both views came in one picture, which was split into halves side by side.
+        joined: Whether both views came in one picture, which was split into halves side by side,
+            so that it may still turn out to have one above the other.
         calibration: Geometry of the views, if a rig tells it.
     """
 
@@ -56,7 +57,9 @@ class StereoPair:
         return self.left.shape[-1]
 
 
-def load_pair(left: ImageLike, right: ImageLike | None = None) -> StereoPair:
+def load_pair(
+    left: ImageLike, right: ImageLike | None = None, *, top_bottom: bool = False
+) -> StereoPair:
     """Read and check a pair.
 
     Args:
@@ -67,6 +70,7 @@ def load_pair(left: ImageLike, right: ImageLike | None = None) -> StereoPair:
             alpha channel is dropped. Files and PIL images are turned as their EXIF asks.
         right: Right view, likewise. Without it ``left`` has both views: an MPO, or one picture
             with both side by side.
+        top_bottom: One picture has the left view above the right one, not beside it.
 
     Returns:
         The pair; its findings say what was put right.
@@ -77,7 +81,7 @@ def load_pair(left: ImageLike, right: ImageLike | None = None) -> StereoPair:
             values that are NaN or out of range, or if the sizes differ.
     """
     if right is None:
-        return _load_joined(left)
+        return _load_joined(left, top_bottom)
     names = [
         str(view) if isinstance(view, str | Path) else f"{side} view"
         for view, side in ((left, "left"), (right, "right"))
@@ -94,7 +98,7 @@ def load_pair(left: ImageLike, right: ImageLike | None = None) -> StereoPair:
     return StereoPair(left, right, left_image, right_image, tuple(_put_right(views, white)))
 
 
-def _load_joined(both: ImageLike) -> StereoPair:
+def _load_joined(both: ImageLike, top_bottom: bool) -> StereoPair:
     """Read a pair from one file or picture."""
     if isinstance(both, str | Path):
         frames = read_frames(both)
@@ -102,17 +106,21 @@ def _load_joined(both: ImageLike) -> StereoPair:
             return load_pair(frames[0], frames[1])
     view = _read(both, str(both) if isinstance(both, str | Path) else "the picture")
     levels = view.levels
-    width = levels.shape[-1 if isinstance(levels, Tensor) else 1] if levels.ndim > 1 else 0
-    if width % 2 or not width:
+    rows = levels.ndim - 2 if isinstance(levels, Tensor) else 0
+    axis = rows if top_bottom else rows + 1
+    side = levels.shape[axis] if levels.ndim > 1 else 0
+    if side % 2 or not side:
+        size, need = f"{side} px wide", "side by side need an even width"
+        if top_bottom:
+            size, need = f"{side} px high", "one above the other need an even height"
         raise InputError(
-            f"{view.name} is {width} px wide, and two views side by side need an even width: give "
-            "the right view, too, if this is the left one"
+            f"{view.name} is {size}, and two views {need}: give the right view, too, if this is "
+            "the left one"
         )
-    left, right = (
-        levels.chunk(2, -1) if isinstance(levels, Tensor) else np.array_split(levels, 2, axis=1)
-    )
+    left, right = levels.chunk(2, axis) if isinstance(levels, Tensor) else np.split(levels, 2, axis)
     pair = load_pair(left, right)
-    return replace(pair, findings=(*_put_right([view], 65535), *pair.findings), joined=True)
+    findings = (*_put_right([view], 65535), *pair.findings)
+    return replace(pair, findings=findings, joined=not top_bottom)
 
 
 def load_batch(pairs: Iterable[tuple[ImageLike, ImageLike] | StereoPair]) -> list[StereoPair]:

@@ -108,7 +108,8 @@ class StereoResult:
             left pixel (x + disparity, y); None where it was not asked for.
         occluded: (H, W) bool, True where the left-right check fails: the right camera does not see
             the pixel, or the match is wrong; None without ``right_disparity``.
-        findings: What the quick checks say about the pair, see `quick_checks`.
+        findings: What was put right while the views were read, what the first look found where
+            one was taken, see `first_look`, and what the quick checks say, see `quick_checks`.
         info: Model, engine, precision and time; None for a result that was read from files.
         filter: Which pixels have a depth, besides those that fail the left-right check.
         calibration: Geometry of the views, where a rig or the pair told it.

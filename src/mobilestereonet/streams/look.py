@@ -1,65 +1,78 @@
-"""The first look at a stream or at many pairs: at the first one that can be read."""
+"""The first look at a stream or at many pairs: at the first one that shows something."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
-from dataclasses import replace
-from typing import TypeGuard
+from dataclasses import dataclass, replace
 
+from mobilestereonet.data.sample import Calibration
+from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier
 from mobilestereonet.inference.arrangement import Arrangement
 from mobilestereonet.inference.finding import Finding
-from mobilestereonet.inference.first_look import ViewOptions, first_look
+from mobilestereonet.inference.first_look import ViewOptions, first_look, problems
 from mobilestereonet.streams.pairs import PairFiles, read_pairs
 from mobilestereonet.streams.stream import StereoFrame, Stream, first_pair, rectify_frames
 
 
 def look_at_stream(
-    stream: Stream, options: ViewOptions | None = None, rectifier: Rectifier | None = None
+    stream: Stream,
+    options: ViewOptions | None = None,
+    rectifier: Rectifier | None = None,
+    *,
+    shift: int = 0,
 ) -> tuple[tuple[Finding, ...], Stream]:
     """What the first look finds at a stream, and the stream with all its frames put right.
 
     Args:
         stream: The stream.
         options: What the user says about the views.
-        rectifier: Rectifies the frames, before they are looked at, and has their calibration.
+        rectifier: Rectifies the frames, or has their calibration.
+        shift: Disparity from which on a network searches, in px.
+
+    Raises:
+        InputError: If the frames are rectified already, or their calibration cannot follow what
+            puts them right.
     """
-    if _is_raw(rectifier):
-        stream = replace(stream, frames=rectify_frames(stream.frames, rectifier))
-        rectifier = None
-    frame, stream = first_pair(stream)
-    arrangement, findings = _look(frame, options or ViewOptions())
-    read = frame.pair.findings if frame is not None and frame.pair is not None else ()
+    seen, stream = _look(stream, options, rectifier, shift)
+    arrangement, findings = seen.arrangement, seen.findings
+    pair = None if seen.frame is None else seen.frame.pair
     # What holds for all frames; each has those of its own reading and of its quick checks.
     lasting = [
         finding
         for finding in findings
-        if finding not in read and finding.check not in ("content", "exposure")
+        if (pair is None or finding not in pair.findings)
+        and finding.check not in ("content", "exposure")
     ]
+    calibration = stream.calibration
+    if calibration is not None and pair is not None and rectifier is None:
+        calibration = arrangement.calibration(calibration, (pair.width, pair.height))
     frames = prepared(stream.frames, rectifier, arrangement, lasting)
-    return findings, replace(stream, frames=frames)
+    return findings, replace(stream, frames=frames, calibration=calibration)
 
 
 def look_at_pairs(
     pairs: Iterable[PairFiles],
     options: ViewOptions | None = None,
     rectifier: Rectifier | None = None,
+    *,
+    shift: int = 0,
 ) -> tuple[tuple[Finding, ...], Arrangement]:
     """What the first look finds at pairs of one camera, and what puts all of them right.
 
     Args:
         pairs: Their files.
         options: What the user says about the views.
-        rectifier: Rectifies the pairs, before they are looked at.
+        rectifier: Rectifies the pairs, or has their calibration.
+        shift: Disparity from which on a network searches, in px.
+
+    Raises:
+        InputError: If the pairs are rectified already.
     """
-    frames = read_pairs(pairs)
-    if _is_raw(rectifier):
-        frames = rectify_frames(frames, rectifier)
-    frame, stream = first_pair(Stream(frames, None))
+    seen, stream = _look(Stream(read_pairs(pairs), None), options, rectifier, shift)
     stream.frames.close()
-    arrangement, findings = _look(frame, options or ViewOptions())
-    return findings, arrangement
+    return seen.findings, seen.arrangement
 
 
 def prepared(
@@ -68,40 +81,86 @@ def prepared(
     arrangement: Arrangement,
     findings: Sequence[Finding] = (),
 ) -> Generator[StereoFrame]:
-    """Frames that are rectified, or have their calibration, and are put right.
+    """Frames that are put right, and rectified or given their calibration.
 
     Args:
         frames: The frames, which are closed with the result.
-        rectifier: Rectifies them before they are put right, or has the calibration of the views
-            that are.
+        rectifier: Rectifies them once they are arranged, or has the calibration of the views that
+            then are; in place of the one that they know.
         arrangement: What puts them right.
         findings: What all their pairs have as findings, too.
     """
-    if _is_raw(rectifier):
-        return _arranged(rectify_frames(frames, rectifier), arrangement, findings)
-    frames = _arranged(frames, arrangement, findings)
+    frames = _arranged(frames, arrangement, findings, calibrated=rectifier is None)
     return frames if rectifier is None else rectify_frames(frames, rectifier)
 
 
-def _is_raw(rectifier: Rectifier | None) -> TypeGuard[Rectifier]:
-    """Whether the pictures are to be rectified; until then nothing can be told of their rows."""
-    return rectifier is not None and rectifier.rectifies
-
-
 def _arranged(
-    frames: Generator[StereoFrame], arrangement: Arrangement, findings: Sequence[Finding]
+    frames: Generator[StereoFrame],
+    arrangement: Arrangement,
+    findings: Sequence[Finding],
+    calibrated: bool,
 ) -> Generator[StereoFrame]:
+    """Frames whose views and calibration are put right; one that cannot be gets a problem.
+
+    Args:
+        frames: The frames, which are closed with the result.
+        arrangement: What puts them right.
+        findings: What all their pairs have as findings, too.
+        calibrated: Whether they keep their calibration.
+    """
     with closing(frames):
         for frame in frames:
-            pair = frame.pair
+            known = frame.calibration if calibrated else None
+            pair = frame.pair and replace(frame.pair, calibration=known)
+            problem = frame.problem
+            try:
+                pair = pair and arrangement(pair)
+            except InputError as error:
+                pair, problem = None, str(error)
             if pair is not None:
-                pair = replace(arrangement(pair), findings=(*pair.findings, *findings))
-            yield replace(frame, pair=pair)
+                known = pair.calibration
+                pair = replace(pair, calibration=None, findings=(*pair.findings, *findings))
+            yield replace(frame, pair=pair, problem=problem, calibration=known)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a look at a stream's frame found; no frame where none could be looked at."""
+
+    frame: StereoFrame | None
+    arrangement: Arrangement
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def shows_something(self) -> bool:
+        """Whether more can be told than that the views are empty or damaged."""
+        return all(finding.check != "content" for finding in problems(self.findings))
 
 
 def _look(
-    frame: StereoFrame | None, options: ViewOptions
-) -> tuple[Arrangement, tuple[Finding, ...]]:
-    if frame is None or frame.pair is None:
-        return options.arrangement, ()
-    return first_look(frame.pair, options)
+    stream: Stream, options: ViewOptions | None, rectifier: Rectifier | None, shift: int
+) -> tuple[_Seen, Stream]:
+    """Look at frames until one shows something; and the stream with all of them."""
+    options = options or ViewOptions()
+    seen: list[_Seen] = []
+    known: list[Calibration] = [] if stream.calibration is None else [stream.calibration]
+
+    def look(frame: StereoFrame) -> bool:
+        assert frame.pair is not None
+        known.extend([frame.calibration] if frame.calibration else [])
+        pair = replace(frame.pair, calibration=frame.calibration or stream.calibration)
+        try:
+            seen.append(_Seen(frame, *first_look(pair, options, rectifier, shift=shift)))
+        except InputError:
+            return False  # the frame's own problem
+        return seen[-1].shows_something
+
+    _, stream = first_pair(stream, look)
+    if known and rectifier is not None and rectifier.rectifies:
+        stream.frames.close()
+        raise InputError(
+            "the pictures are rectified already, as their source tells, and the rig is of raw "
+            "ones: leave --rig out"
+        )
+    suitable = [each for each in seen if each.shows_something]
+    return next(iter(suitable or seen), _Seen(None, options.arrangement)), stream

@@ -36,7 +36,8 @@ def match_stream(
     Args:
         source: What `open_stream` takes first, or what it gave.
         matcher: The matcher.
-        calibration: Geometry of the frames; by default the one that the source knows.
+        calibration: Geometry of the frames; by default that of the matcher's rig, or the one that
+            the source knows.
         real_time: Play a recording as fast as it was taken and drop the frames that come while
             another one is matched, as a live camera always does. ``frame.index`` tells the gaps.
         **options: Other arguments of `open_stream`, such as ``right`` or ``left_topic``.
@@ -46,11 +47,11 @@ def match_stream(
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
-        InputError: If the source cannot be opened.
+        InputError: If the source cannot be opened, or tells that its pictures are rectified while
+            the matcher has a rig of raw ones.
     """
     stream = open_stream(source, **options) if isinstance(source, str) else source
-    known = calibration or stream.calibration
-    _, stream = look_at_stream(stream)
+    _, stream = look_at_stream(stream, rectifier=matcher.rectifier, shift=matcher.shift)
     if stream.live:
         frames = stream.frames
     elif real_time:
@@ -62,4 +63,5 @@ def match_stream(
             if result is None:
                 warnings.warn(f"frame {frame.name} is left out: {frame.problem}", stacklevel=2)
             else:
-                yield replace(frame, calibration=known or frame.calibration), result
+                known = calibration or frame.calibration or stream.calibration
+                yield replace(frame, calibration=known), result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -13,6 +13,9 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import StereoPair, load_pair
 from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.streams.laser import Pose
+
+MAX_LOOKED_AT = 30
+"""Frames among which one is looked for that shows something: a camera may start in the dark."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +74,29 @@ def in_real_time(frames: Generator[StereoFrame]) -> Generator[StereoFrame]:
             yield frame
 
 
-def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:
+def first_pair(
+    stream: Stream, suits: Callable[[StereoFrame], bool] = lambda _: True
+) -> tuple[StereoFrame | None, Stream]:
     """The first frame of a stream that can be read, and the stream with all of its frames.
 
     Of a stream without a frame that can be read, the last one; None of one without any.
+
+    Args:
+        stream: The stream.
+        suits: Which frame is looked for, among the first `MAX_LOOKED_AT` that can be read; if none
+            is found, it is the first of them.
     """
     seen: list[StereoFrame] = []
+    readable: list[StereoFrame] = []
+    first = None
     for frame in stream.frames:
         seen.append(frame)
-        if frame.pair is not None:
+        if frame.pair is None:
+            continue
+        readable.append(frame)
+        if suits(frame):
+            first = frame
+        if first is not None or len(readable) == MAX_LOOKED_AT:
             break
 
     def again() -> Generator[StereoFrame]:
@@ -87,7 +104,7 @@ def first_pair(stream: Stream) -> tuple[StereoFrame | None, Stream]:
             yield from seen
             yield from stream.frames
 
-    return (seen[-1] if seen else None), replace(stream, frames=again())
+    return first or next(iter(readable or seen[-1:]), None), replace(stream, frames=again())
 
 
 def rectify_frames(frames: Generator[StereoFrame], rectifier: Rectifier) -> Generator[StereoFrame]:

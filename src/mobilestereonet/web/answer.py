@@ -14,6 +14,7 @@ import numpy as np
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import KITTI_SCALE
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.rig import Rig
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import (
@@ -22,8 +23,9 @@ from mobilestereonet.inference import (
     StereoResult,
     load_pair,
 )
-from mobilestereonet.inference.first_look import put_right
+from mobilestereonet.inference.first_look import problems, put_right
 from mobilestereonet.inference.geometry import PointCloud
+from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.plots import colour_disparity
 from mobilestereonet.web.sessions import Session
 
@@ -107,10 +109,19 @@ def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answ
             bad.
     """
     calibration = geometry.calibration()
-    pair = put_right(_load(session), max_disparity=matcher.engine.max_disparity)
+    rectifier = None if calibration is None else Rectifier(Rig((calibration,), "the calibration"))
+    pair = put_right(
+        _load(session),
+        rectifier=rectifier,
+        max_disparity=matcher.max_disparity,
+        shift=matcher.shift,
+    )
     result = matcher.match(pair)
     started = time.perf_counter()
     notes = [str(finding) for finding in pair.findings if finding.level not in ("good", "unknown")]
+    if calibration is not None and (wrong := problems(pair.findings)):
+        notes.append(f"no depth and no points of such views ({wrong[0].check}): put them right")
+        calibration = None
     with session.replace("answer") as folder:
         files = result.save(folder, "stereo")
         left, disparity = folder / "left.png", folder / "stereo_disparity_colours.png"
