@@ -92,12 +92,13 @@ def test_the_command_line(msnet, tmp_path):
 )
 def test_doctor_tells_the_number_to_use(low, high, options):
     disparity = np.linspace(low, high, 1001)
-    advice = checks._range(disparity, 192).advice
+    advice = checks._range(disparity, checks.Search(192)).advice
     assert " ".join(re.findall(r"--\w+ [\d.]+\d", advice)) == options
     assert ("make both views smaller" in advice) == (not options)
 
 
 def test_doctor_tells_where_converging_cameras_begin():
-    finding = checks._order(np.concatenate((np.linspace(-20, -1, 50), np.linspace(0, 60, 200))))
+    disparity = np.concatenate((np.linspace(-20, -1, 50), np.linspace(0, 60, 200)))
+    finding = checks._order(disparity, lowest=0)
     assert (finding.check, finding.level) == ("order", "problem")
     assert "--shift -28" in finding.advice

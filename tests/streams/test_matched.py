@@ -113,10 +113,12 @@ def test_what_the_source_knows_follows_its_views(matcher):
     left, right = make_pair(9)
     turned = [np.ascontiguousarray(view[::-1, ::-1]) for view in (right, left)]
     options = ViewOptions(order="right-left", rotate=180)
-    _, stream = look_at_stream(stream_of(turned[::-1], calibration=calibration), options)
+    _, stream = look_at_stream(stream_of(turned, calibration=calibration), options)
     assert (stream.calibration.cx, stream.calibration.cy) == (159 - 73, 47 - 20)
     assert stream.calibration.doffs == 3
-    np.testing.assert_array_equal(next(stream.frames).pair.left_image, right)
+    np.testing.assert_array_equal(next(stream.frames).pair.left_image, left)
+    with pytest.raises(InputError, match="--rotate 0"):
+        look_at_stream(stream_of((left, right), calibration=calibration), ViewOptions(rotate=90))
 
 
 def test_a_stream_that_starts_in_the_dark(matcher):

@@ -26,7 +26,10 @@ from mobilestereonet.web.handlers import Handlers, PageConfig  # noqa: E402
 from mobilestereonet.web.page import build_page  # noqa: E402
 from mobilestereonet.web.server import Guard, is_own_name, running  # noqa: E402
 
-PICTURE = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8))[1]
+PICTURE, OTHER = (
+    cv2.imencode(".png", view)[1]
+    for view in np.random.default_rng(0).integers(0, 255, (2, 32, 48, 3), np.uint8)
+)
 VISITOR = SimpleNamespace(session_hash="someone")
 
 
@@ -317,9 +320,9 @@ def match(act, runtime="torch", focal=50.0, baseline=0.2):
 
 
 def test_handlers_from_the_upload_to_the_cloud(act, tmp_path):
-    for side in ("left", "right"):
-        path = act.upload_handler(side)(put(tmp_path, PICTURE), VISITOR)
-        assert Path(path).read_bytes() == PICTURE.tobytes()
+    for side, picture in (("left", PICTURE), ("right", OTHER)):
+        path = act.upload_handler(side)(put(tmp_path, picture), VISITOR)
+        assert Path(path).read_bytes() == picture.tobytes()
     facts, pictures, readings, *_ = match(act)
     assert "msnet2d on torch fp32, 48x32" in facts
     assert all(Path(path).is_file() for path in pictures)

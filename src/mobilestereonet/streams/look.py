@@ -47,7 +47,7 @@ def look_at_stream(
     ]
     calibration = stream.calibration
     if calibration is not None and pair is not None and rectifier is None:
-        calibration = arrangement.calibration(calibration, (pair.width, pair.height))
+        calibration = arrangement(replace(pair, calibration=calibration)).calibration
     frames = prepared(stream.frames, rectifier, arrangement, lasting)
     return findings, replace(stream, frames=frames, calibration=calibration)
 
@@ -125,7 +125,7 @@ def _arranged(
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a look at a stream's frame found; no frame where none could be looked at."""
+    """What a look at a stream's frame found: nothing where none could be looked at."""
 
     frame: StereoFrame | None
     arrangement: Arrangement
@@ -155,7 +155,7 @@ def _look(
             return False  # the frame's own problem
         return seen[-1].shows_something
 
-    _, stream = first_pair(stream, look)
+    first, stream = first_pair(stream, look)
     if known and rectifier is not None and rectifier.rectifies:
         stream.frames.close()
         raise InputError(
@@ -163,4 +163,4 @@ def _look(
             "ones: leave --rig out"
         )
     suitable = [each for each in seen if each.shows_something]
-    return next(iter(suitable or seen), _Seen(None, options.arrangement)), stream
+    return next(iter(suitable or seen), _Seen(first, options.arrangement)), stream
