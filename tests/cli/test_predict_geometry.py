@@ -58,7 +58,13 @@ def test_numbers_instead_of_a_file(msnet, folder):
 def test_a_baseline_in_millimetres_is_asked_about(msnet, folder):
     numbers = ("--focal", 500, "--baseline", 100, "--doffs", 5)
     code, _, err = predict(msnet, folder, "--depth", folder / "depth.npy", *numbers)
-    assert (code, err) == (0, "msnet: a baseline of 100 m: is it in metres? 100 mm would be 0.1\n")
+    asked = "msnet: a baseline of 100 m: is it in metres? 100 mm would be 0.1\n"
+    assert (code, err) == (0, asked)
+    rig = folder / "no_baseline.txt"
+    rig.write_text("cam0=[500 0 20; 0 500 20; 0 0 1]\ncam1=[500 0 20; 0 500 20; 0 0 1]\n")
+    numbers = ("--rig", rig, "--baseline", 100)
+    _, _, err = predict(msnet, folder, "--depth", folder / "depth.npy", *numbers)
+    assert asked in err
 
 
 def test_the_unit_is_heard_and_warned_of_without_a_file(msnet, folder):

@@ -45,6 +45,11 @@ def test_middlebury(tmp_path, line_end):
     assert result.size == (741, 497)
 
 
+def test_doffs_that_contradict_the_principal_points_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"doffs is -32\.778 px, and .* differ by 32\.778 px"):
+        calibration_of(tmp_path, MIDDLEBURY.replace("doffs=32.778", "doffs=-32.778"))
+
+
 def test_middlebury_without_doffs_takes_the_principal_points(tmp_path):
     result = calibration_of(tmp_path, MIDDLEBURY.replace("doffs=32.778\n", ""))
     assert result.doffs == pytest.approx(32.778)

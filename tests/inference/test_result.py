@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mobilestereonet import Calibration, StereoResult
+from mobilestereonet.data.calibration import write_calibration
 from mobilestereonet.data.disparity_files import read_disparity
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import RunInfo
@@ -33,10 +34,19 @@ def test_depth_knows_the_difference_of_principal_points(result):
     np.testing.assert_allclose(depth[0], [0, 0, 1000], rtol=1e-6)
 
 
+def test_a_calibration_is_taken_by_its_path(result, tmp_path):
+    calibration = Calibration(focal=100.0, baseline=0.1, cx=1.0, cy=1.0)
+    write_calibration(tmp_path / "calib.txt", calibration, result.disparity.shape[::-1])
+    for path in (tmp_path / "calib.txt", str(tmp_path / "calib.txt")):
+        np.testing.assert_allclose(result.depth(path), result.depth(calibration))
+    points = result.points(tmp_path / "calib.txt").points
+    np.testing.assert_allclose(points, result.points(calibration).points)
+
+
 def test_depth_of_another_size_is_refused(result):
     calibration = Calibration(focal=1000, baseline=0.5, doffs=8, size=(6, 4))
     for use in (result.depth, result.points):
-        with pytest.raises(InputError, match=r"of 6x4, these have 3x2.*focal 500.*doffs 4"):
+        with pytest.raises(InputError, match=r"of 6x4, these have 3x2.*--resized"):
             use(calibration)
         with pytest.raises(InputError, match=r"give the calibration of these views$"):
             use(replace(calibration, size=(3, 20)))  # cut, not resized

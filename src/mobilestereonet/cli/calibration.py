@@ -205,17 +205,20 @@ class CalibrationOptions(RigFiles):
             InputError: If a file or a value is bad.
         """
         files = super().read(whole=whole)
-        if files is not None or self.baseline is None:
+        if self.baseline is None:
             return files
-        from mobilestereonet.data import Calibration
-        from mobilestereonet.data.rig import Rig
-        from mobilestereonet.data.rig.assumed import AssumedRig
         from mobilestereonet.data.rig.told import MAX_BASELINE_M
-        from mobilestereonet.inference.rectify import Rectifier
 
         if self.baseline > MAX_BASELINE_M:
             say = f"is it in metres? {self.baseline:g} mm would be {self.baseline / 1000:g}"
             print(f"msnet: a baseline of {self.baseline:g} m: {say}", file=sys.stderr)
+        if files is not None:
+            return files
+        from mobilestereonet.data import Calibration
+        from mobilestereonet.data.rig import Rig
+        from mobilestereonet.data.rig.assumed import AssumedRig
+        from mobilestereonet.inference.rectify import Rectifier
+
         if self.focal is None:
             assert self.fov is not None
             assumed = AssumedRig.of_field_of_view(self.fov, self.baseline, self.doffs)

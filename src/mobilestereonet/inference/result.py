@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_png
 from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
@@ -147,7 +148,7 @@ class StereoResult:
 
     def depth(
         self,
-        calibration: Calibration | None = None,
+        calibration: Calibration | str | Path | None = None,
         *,
         focal: float | None = None,
         baseline: float | None = None,
@@ -156,8 +157,8 @@ class StereoResult:
         """Depth along the optical axis: focal * baseline / (disparity + doffs).
 
         Args:
-            calibration: Geometry of the pair, for the left view's size; by default the result's
-                own. Or, in its place:
+            calibration: Geometry of the pair, for the left view's size, or the path of a file of
+                it; by default the result's own. Or, in its place:
             focal: Focal length in px.
             baseline: Distance between the cameras in metres.
             doffs: Difference of the principal points, right minus left, in px.
@@ -181,7 +182,9 @@ class StereoResult:
             calibration = Calibration(focal=focal, baseline=baseline, doffs=doffs)
         return self._depth(calibration, edges=True)
 
-    def _geometry(self, calibration: Calibration | None) -> Calibration:
+    def _geometry(self, calibration: Calibration | str | Path | None) -> Calibration:
+        if isinstance(calibration, str | Path):
+            return read_calibration(calibration)
         calibration = calibration or self.calibration
         if calibration is None:
             raise InputError(
@@ -192,7 +195,7 @@ class StereoResult:
 
     def points(
         self,
-        calibration: Calibration | None = None,
+        calibration: Calibration | str | Path | None = None,
         *,
         max_depth: float = math.inf,
         min_confidence: float = 0.0,
@@ -223,7 +226,7 @@ class StereoResult:
 
     def mesh(
         self,
-        calibration: Calibration | None = None,
+        calibration: Calibration | str | Path | None = None,
         *,
         max_depth: float = math.inf,
         min_confidence: float = 0.0,
@@ -256,7 +259,7 @@ class StereoResult:
 
     def _depth(
         self,
-        calibration: Calibration | None,
+        calibration: Calibration | str | Path | None,
         min_confidence: float = 0.0,
         max_depth: float = math.inf,
         edges: bool = False,
@@ -281,7 +284,7 @@ class StereoResult:
         depth = depth_from_disparity(self.disparity, kept, self._geometry(calibration))
         return np.where(depth <= limits.max_depth, depth, np.float32(0))
 
-    def to_open3d(self, calibration: Calibration | None = None, **limits: Any) -> Any:
+    def to_open3d(self, calibration: Calibration | str | Path | None = None, **limits: Any) -> Any:
         """The points as ``open3d.geometry.PointCloud``, in the left camera's frame.
 
         Args:

@@ -21,6 +21,9 @@ COLOUR_CAMERAS = (2, 3)
 
 _PROJECTION = re.compile(r"(P_rect_|P)(\d+)")
 
+MAX_DOFFS_DIFFERENCE_PX = 2.0
+"""Difference of a file's doffs from that of its principal points above which one is wrong."""
+
 
 def is_middlebury(entries: Entries) -> bool:
     """Whether entries are lines of a Middlebury or ETH3D calib.txt."""
@@ -47,6 +50,12 @@ def read_middlebury(entries: Entries, told: Told) -> Description:
         size = size_of(*(number_of(entries, side) for side in ("width", "height")))
     length = 0.0 if told.baseline and "baseline" not in entries else number_of(entries, "baseline")
     baseline = told.metres(length, "mm")
+    between = float(right[0, 2] - left[0, 2])
+    if doffs is not None and not alone and abs(doffs - between) > MAX_DOFFS_DIFFERENCE_PX:
+        raise InputError(
+            f"doffs is {doffs:g} px, and the principal points, right less left, differ by "
+            f"{between:g} px: correct the one that is wrong"
+        )
     return Description((from_cameras(left, right, baseline, doffs, size),))
 
 
