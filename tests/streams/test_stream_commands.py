@@ -217,6 +217,8 @@ def test_depth_of_views_that_cannot_give_it_is_refused(msnet, sequence, command)
 
 
 def test_a_look_stops_only_what_writes_depth(msnet, sequence):
+    need_extra("av")
+    need_extra("rosbags")
     for path in (sequence / "right").iterdir():
         assert cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 6, axis=0))
     matrix = "[100 0 80; 0 100 24; 0 0 1]"
