@@ -137,7 +137,8 @@ def test_bench(name, weights, msnet, monkeypatch):
     command = ("bench", "--size", *size, "--repeats", 1, "--device", "cpu")
     code, out, err = msnet(*command, "--weights", weights(name))
     assert code == 0, err
-    assert "fastest in fp32: --runtime torch" in out
+    # DeepPruner's fresh weights amplify rounding, so that no engine is close enough to be named.
+    assert ("fastest in fp32: --runtime torch" in out) == (name != "deeppruner-best")
     if not net.exportable and "onnxruntime" in err:
         assert "left out: onnxruntime fp32" in err and "cannot be exported" in err
 
