@@ -11,7 +11,7 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from uuid import uuid4
 
 from mobilestereonet.errors import InputError
@@ -145,6 +145,40 @@ def write_atomically(path: str | Path, writer: Callable[[Path], object]) -> None
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+class GrowingFile:
+    """A file that is written bit by bit in a hidden folder beside it, and appears when it is whole.
+
+    As a context manager it ends in its folder's removal.
+
+    Args:
+        path: The file to make or to replace; of a link, what it points to. Missing folders are
+            made.
+
+    Attributes:
+        folder: Folder to write into.
+
+    Raises:
+        InputError: As `check_outputs`.
+        OSError: If the folder cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._target = _target(path, "file")
+        self._target.parent.mkdir(parents=True, exist_ok=True)
+        self._temporary = TemporaryDirectory(prefix=".", dir=self._target.parent)
+        self.folder = Path(self._temporary.name)
+
+    def appear(self, written: Path) -> None:
+        """Put a whole file of the folder in its place."""
+        written.replace(self._target)
+
+    def __enter__(self) -> GrowingFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._temporary.cleanup()
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import posixpath
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
-from mobilestereonet.atomic import check_outputs
+from mobilestereonet.atomic import GrowingFile, check_outputs
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import StereoResult
@@ -103,17 +102,16 @@ class BagFile:
     ) -> None:
         if self._writer is None:
             return
-        with self._folder:
+        with self._growing:
             self._writer.__exit__(kind, error, trace)
             if kind is None:
-                self._written.replace(self.path)
+                self._growing.appear(self._written)
 
     def _open(self) -> None:
         from rosbags import rosbag1, rosbag2
 
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._folder = TemporaryDirectory(prefix=".", dir=self.path.parent)
-        path = Path(self._folder.name) / self.path.name
+        self._growing = GrowingFile(self.path)
+        path = self._growing.folder / self.path.name
         if self._of_ros1:
             self._written = path
             self._writer = rosbag1.Writer(path)

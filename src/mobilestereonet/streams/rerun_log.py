@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from mobilestereonet.atomic import check_outputs
+from mobilestereonet.atomic import GrowingFile, check_outputs
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import StereoResult
@@ -89,9 +88,8 @@ class RerunLog:
         rerun = self._rerun
         log = self._log = rerun.RecordingStream("mobilestereonet")
         if self.path is not None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._folder = TemporaryDirectory(prefix=".", dir=self.path.parent)
-            log.save(Path(self._folder.name) / self.path.name)
+            self._growing = GrowingFile(self.path)
+            log.save(self._growing.folder / self.path.name)
         elif self._target == "spawn":
             log.spawn()
         else:
@@ -113,9 +111,9 @@ class RerunLog:
         self._log.flush()
         self._log.disconnect()
         if self.path is not None:
-            with self._folder:
+            with self._growing:
                 if kind is None:
-                    (Path(self._folder.name) / self.path.name).replace(self.path)
+                    self._growing.appear(self._growing.folder / self.path.name)
 
 
 def file_of(target: str | Path) -> Path | None:
