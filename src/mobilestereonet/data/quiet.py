@@ -1,4 +1,4 @@
-"""Decoders that do not write to the terminal: what is wrong with a file is told by our errors."""
+"""Image decoders without messages of their own: this package's errors say what is wrong."""
 
 from __future__ import annotations
 

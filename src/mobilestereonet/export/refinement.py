@@ -23,12 +23,13 @@ from mobilestereonet.inference.refine import (
 from mobilestereonet.inference.subpixel import (
     CONTRAST_WINDOW_PX,
     MAX_SHIFT_PX,
-    MISMATCH,
     PRIOR,
     SENSOR_NOISE,
     STEPS,
     STRIDE_PX,
     WINDOW_PX,
+    row_gradient,
+    weighted_products,
 )
 from mobilestereonet.nets.model import Prediction
 
@@ -118,20 +119,16 @@ def _running_max(values: Tensor, lowest: float = -1.0) -> Tensor:
 
 def _fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
     left, right = _normalise_contrast(left), _normalise_contrast(right)
-    left_gradient = _row_gradient(left)
-    right_maps = torch.cat((right, _row_gradient(right)), dim=1)
+    left_gradient = row_gradient(left)
+    right_maps = torch.cat((right, row_gradient(right)), dim=1)
     columns = _columns(disparity)
     shift = columns * 0
     for _ in range(STEPS):
         position = columns - disparity - shift
         inside = ((position >= 0) & (position <= columns[..., -1:])).unsqueeze(1)
         warped = _sample(right_maps, position.unsqueeze(1), columns[..., -1:].unsqueeze(1))
-        difference = warped[:, :1] - left
-        gradient = (left_gradient + warped[:, 1:]) / 2
-        weighted = inside * gradient / (1 + (difference / MISMATCH).square()).square()
-        target = difference + gradient * shift.unsqueeze(1)
         sums = F.avg_pool2d(
-            torch.cat((weighted * target, weighted * gradient), dim=1),
+            weighted_products(left, left_gradient, warped, inside, shift),
             *(WINDOW_PX, STRIDE_PX, (WINDOW_PX - STRIDE_PX) // 2),
             count_include_pad=False,
         )
@@ -149,11 +146,6 @@ def _normalise_contrast(view: Tensor) -> Tensor:
     variance = (square - mean.square()).clamp(min=0)
     normalised: Tensor = (grey - mean) / (variance + SENSOR_NOISE**2).sqrt()
     return normalised
-
-
-def _row_gradient(image: Tensor) -> Tensor:
-    padded = F.pad(image, (1, 1, 0, 0), mode="replicate")
-    return (padded[..., 2:] - padded[..., :-2]) / 2
 
 
 def _sample(maps: Tensor, position: Tensor, last: Tensor) -> Tensor:

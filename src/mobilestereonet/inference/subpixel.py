@@ -55,17 +55,12 @@ def fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
         Disparity in px, (B, H, W), on that device.
     """
     left, right = _normalise_contrast(left), _normalise_contrast(right)
-    left_gradient = _row_gradient(left)
-    right_maps = torch.cat((right, _row_gradient(right)), dim=1)
+    left_gradient = row_gradient(left)
+    right_maps = torch.cat((right, row_gradient(right)), dim=1)
     shift = torch.zeros_like(disparity)
     for _ in range(STEPS):
         warped, inside = _warp(right_maps, disparity + shift)
-        difference = warped[:, :1] - left
-        gradient = (left_gradient + warped[:, 1:]) / 2
-        weighted = inside * gradient / (1 + (difference / MISMATCH).square()).square()
-        # One more px of disparity changes the difference by minus the gradient.
-        target = difference + gradient * shift.unsqueeze(1)
-        sums = _window_means(torch.cat((weighted * target, weighted * gradient), dim=1))
+        sums = _window_means(weighted_products(left, left_gradient, warped, inside, shift))
         shift = _between_windows(sums[:, :1] / (sums[:, 1:] + PRIOR), *disparity.shape[-2:])
         shift = shift.clamp(-MAX_SHIFT_PX, MAX_SHIFT_PX)
     return (disparity + shift).clamp_min(0)
@@ -84,7 +79,30 @@ def _normalise_contrast(views: Tensor) -> Tensor:
     return normalised
 
 
-def _row_gradient(image: Tensor) -> Tensor:
+def weighted_products(
+    left: Tensor, left_gradient: Tensor, warped: Tensor, inside: Tensor, shift: Tensor
+) -> Tensor:
+    """What a least-squares step sums up over a window, mismatches weighing less.
+
+    Args:
+        left: Normalised left view, (B, 1, H, W).
+        left_gradient: Its gradient along the rows, likewise.
+        warped: The right view's value and gradient where the matches are, (B, 2, H, W).
+        inside: Whether these are inside of the right view, (B, 1, H, W).
+        shift: Shift of the disparity so far, (B, H, W) in px.
+
+    Returns:
+        Gradient times target, and gradient squared, both weighted, (B, 2, H, W).
+    """
+    difference = warped[:, :1] - left
+    gradient = (left_gradient + warped[:, 1:]) / 2
+    weighted = inside * gradient / (1 + (difference / MISMATCH).square()).square()
+    # One more px of disparity changes the difference by minus the gradient.
+    target = difference + gradient * shift.unsqueeze(1)
+    return torch.cat((weighted * target, weighted * gradient), dim=1)
+
+
+def row_gradient(image: Tensor) -> Tensor:
     """Central differences along the rows of (B, 1, H, W), per px."""
     padded = F.pad(image, (1, 1, 0, 0), mode="replicate")
     return (padded[..., 2:] - padded[..., :-2]) / 2

@@ -20,7 +20,7 @@ MIN_LOG_PROBABILITY = -8.0
 """Logarithm of a probability at which, and below which, guidance is 0."""
 
 BAND_STEP = 8
-"""Bands start at multiples of so many planes, so that most neighbours share theirs.
+"""Bands start at multiples of so many planes, so that most neighbours have the same band.
 
 A convolution takes the i-th plane of a pixel's band with the i-th of its neighbours'. With steps of
 4 planes, which is what the hourglasses reduce to one, more pixels are wrong.
