@@ -186,7 +186,7 @@ def upsample(scores: Tensor) -> Tensor:
 
 
 def closed_form_by_phase(scores: Tensor, estimator: Estimator) -> Tensor:
-    """Disparity (B, 4 H, 4 W) of scores (B, D, H, W) in parts of which a graph can be traced.
+    """Closed-form soft-argmax in four phases, traced for any size: (B, D, H, W) -> (B, 4 H, 4 W).
 
     Of all pixels that lie at the same place within their scores' pixel, one of 4 x 4 phases, the
     upsampled scores are one weighted sum of neighbouring scores. So one row of phases after the
@@ -201,7 +201,7 @@ def closed_form_by_phase(scores: Tensor, estimator: Estimator) -> Tensor:
 
 
 def _phases(scores: Tensor, dim: int) -> Iterator[Tensor]:
-    """Every fourth one of the scores upsampled along a dimension, from the first to the fourth."""
+    """The four phases of scores upsampled by 4 along a dimension, first to fourth."""
     around: tuple[slice, ...] = (slice(None),) * dim
     first, last = scores[(*around, slice(1))], scores[(*around, slice(-1, None))]
     before = torch.cat((first, scores[(*around, slice(-1))]), dim)

@@ -41,7 +41,7 @@ _FEATURES_OF_A_SCENE = 300
 """Features of each view from which on a scene that both show would be recognised."""
 
 _MIN_ALIKE = 5
-"""Features alike, beyond twice those that are by chance, that a common scene has at least."""
+"""Fewest feature matches of a common scene, beyond twice those found by chance."""
 
 
 def quick_checks(left: Picture, right: Picture) -> list[Finding]:
@@ -111,7 +111,7 @@ class Search:
 
     @property
     def lowest(self) -> float:
-        """Disparity from which on the views' order is in doubt no more."""
+        """Lowest disparity of views in the right order, in px: -doffs, or the search's start."""
         return min(-self.doffs, self.start)
 
 

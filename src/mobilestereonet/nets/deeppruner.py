@@ -43,7 +43,7 @@ Sampler = Literal["patch_match", "uniform"]
 """How the disparities within the predicted range are chosen."""
 
 PRUNED = 7
-"""Disparities within the predicted range; its two ends join them. Also its least width, in px."""
+"""Number of candidates in the predicted range, without its two ends; its least width in px."""
 
 UPPER_QUANTILE, LOWER_QUANTILE = 0.95, 0.05
 """Shares of pixels whose disparity is to be below the predicted ends of the range."""

@@ -13,7 +13,7 @@ from mobilestereonet.nets.blocks import conv_norm, transposed_norm
 from mobilestereonet.nets.regression import SLOPE, enlarged
 
 PARTICLES = 12
-"""Disparities that PatchMatch gives on the whole range; its two ends join them."""
+"""Number of candidates that PatchMatch finds in the whole range, without its two ends."""
 
 _ACROSS = (1, 2, 2)
 """Stride of the 3D layers: rows and columns, not the candidates."""

@@ -23,7 +23,7 @@ MAX_PARAMETERS = 500_000_000
 
 
 def check_size(network: type[StereoModel], config: Any, name: str) -> None:
-    """Check that a network is of a size that anybody runs, before it is built and fills the memory.
+    """Refuse a network of too many modules or parameters, before it fills the memory.
 
     Raises:
         InputError: If it has more than `MAX_MODULES` or `MAX_PARAMETERS`.

@@ -23,7 +23,7 @@ FRAME_ID = "left_camera_optical_frame"
 
 
 class BagFile:
-    """Bag of results, as a context manager; it appears once it is complete.
+    """Writer of a ROS bag of stereo results, a context manager; the file appears when complete.
 
     Each result gives ``disparity`` (stereo_msgs/DisparityImage) and, with a calibration, ``depth``
     (sensor_msgs/Image, 32FC1 in metres) and ``points2`` (sensor_msgs/PointCloud2), and with a

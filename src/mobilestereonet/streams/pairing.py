@@ -16,7 +16,7 @@ _MAX_WAITING = 100
 
 
 def tolerance_of(*times: Sequence[float]) -> float:
-    """Difference up to which two moments are one: half of the shorter usual interval, in s.
+    """Largest time difference of a stereo pair: half of the shorter frame interval, in s.
 
     Args:
         times: Moments of each camera in s, in order.

@@ -126,7 +126,7 @@ def _quarter_turns(frame: Any) -> int:
 
 
 def _upright(frame: Any) -> Picture:
-    """A frame as players show it, (H, W, 3) uint8 RGB."""
+    """Decode a video frame with its rotation applied, (H, W, 3) uint8 RGB."""
     stored = frame.to_ndarray(format="rgb24")
     return np.ascontiguousarray(np.rot90(stored, _quarter_turns(frame)))
 

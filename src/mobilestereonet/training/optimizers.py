@@ -18,7 +18,7 @@ OPTIMIZERS: dict[str, Any] = {
     "rmsprop": torch.optim.RMSprop,
     "sgd": torch.optim.SGD,
 }
-"""Classes by the names that recipes have for them."""
+"""Optimizer classes by their names in recipes."""
 
 
 def make_optimizer(

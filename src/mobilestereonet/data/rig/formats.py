@@ -37,7 +37,7 @@ _FORMATS: tuple[tuple[Callable[[Entries], bool], Callable[[Entries, Told], Descr
     (lambda entries: bool(find_intrinsics(entries)), read_intrinsics),
     (lambda entries: bool(find_names(entries)), read_opencv),
 )
-"""Formats of one file: how each is recognised, and its reader; the first one counts."""
+"""Calibration formats of a single file: test and reader of each; the first match counts."""
 
 
 def describe(paths: Sequence[Path], told: Told) -> Description:
