@@ -11,6 +11,7 @@ EXTRAS = (
     *("lightning", "pytorch_lightning", "torchmetrics", "tensorboard", "kornia", "scipy"),
     *("skimage", "imageio", "matplotlib", "onnx", "onnxruntime", "openvino"),
     *("huggingface_hub", "av", "gradio", "ray", "rosbags", "rerun"),
+    *("h5py", "OpenEXR"),
 )
 """Modules that the base install does not bring."""
 

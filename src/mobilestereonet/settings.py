@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -262,6 +262,19 @@ class _Builder:
             own: Names of the part in which it was looked for.
         """
         return likeliest_name(key, list(own), self.known)
+
+
+def choice_hint(name: str, names: Collection[str], likeliest: int = 1) -> str:
+    """End of the message about an unknown name: which may be meant, and all there are.
+
+    Args:
+        name: The unknown name.
+        names: Those that there are.
+        likeliest: How many to suggest at most.
+    """
+    near = difflib.get_close_matches(name.lower(), names, n=likeliest)
+    hint = f"did you mean {', '.join(near)}? There are" if near else "there are"
+    return f"{hint} {', '.join(names)}"
 
 
 def likeliest_name(key: str, own: Sequence[str], known: Sequence[str]) -> str:

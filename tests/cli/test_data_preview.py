@@ -1,9 +1,11 @@
+import json
+
 import cv2
 import numpy as np
 import pytest
 
 from mobilestereonet.cli.data import preview
-from mobilestereonet.data import write_pfm, write_png
+from mobilestereonet.data import data_sets, write_pfm, write_png
 from mobilestereonet.errors import InputError
 
 SCENES = ["height=48", "width=80", "noise_textures=16", "texture_size=32", "max_disparity=20",
@@ -11,7 +13,11 @@ SCENES = ["height=48", "width=80", "noise_textures=16", "texture_size=32", "max_
 
 
 def _preview(name, output, **options):
-    preview(name, output, **{"root": None, "textures": None, "count": 2, "seed": 0} | options)
+    preview(
+        name,
+        output,
+        **{"root": None, "textures": None, "count": 2, "seed": 0, "split": None} | options,
+    )
     picture = cv2.imread(str(output))
     assert picture is not None
     return picture
@@ -51,3 +57,42 @@ def test_bad_input(tmp_path):
     with pytest.raises(InputError, match="no value 'colour'"):
         _preview("procedural", tmp_path / "x.png", assignments=["colour=red"])
     assert not list(tmp_path.iterdir())
+
+
+def test_a_split(tmp_path):
+    for split, level in (("train", 40), ("test", 200)):
+        for side in ("left", "right"):
+            write_png(
+                tmp_path / f"{split}/part1/000000/{side}.png",
+                np.full((30, 60, 3), level, np.uint8),
+            )
+        write_png(
+            tmp_path / f"{split}/part1/000000/left_disp.png", np.full((30, 60), 500, np.uint16)
+        )
+    with pytest.warns(UserWarning, match=r"instereo2k \(test\): expected 50 frames, found 1"):
+        sheet = _preview("instereo2k", tmp_path / "a.png", root=tmp_path, split="test")
+    assert sheet[100, 160].tolist() == [200] * 3
+    with pytest.raises(InputError, match="unknown split, did you mean test"):
+        _preview("instereo2k", tmp_path / "a.png", root=tmp_path, split="tets")
+    with pytest.raises(InputError, match="procedural scenes have no split test"):
+        _preview("procedural", tmp_path / "a.png", split="test")
+
+
+def test_list(msnet):
+    code, out, _ = msnet("data", "list")
+    assert code == 0
+    for words in ("kitti2015", "training (200)", "testing*", "spring", "fsd", "rectification"):
+        assert words in " ".join(out.split())
+    code, out, _ = msnet("data", "list", "--json")
+    records = {record["name"]: record for record in json.loads(out)}
+    assert set(records) == set(data_sets())
+    assert records["middeval3"] == {
+        "name": "middeval3",
+        "summary": "Middlebury's third evaluation: 15 training scenes, 15 test scenes, in three "
+        "sizes.",
+        "splits": {"training": 15, "test": 15},
+        "withheld": ["test"],
+        "options": {"size": "Q"},
+    }
+    code, _, told = msnet("data", "preview", "kitty", "-o", "x.png")
+    assert code == 2 and "did you mean vkitti2?" in told

@@ -129,7 +129,7 @@ MESSAGES = {
     "train run --max-time 3h": "--max-time 3h: write it as DD:HH:MM:SS",
     "cost --model msnet4d": "unknown model 'msnet4d': did you mean msnet",
     "export onx": "format onx: did you mean onnx? There are onnx, openvino",
-    "evaluate --data kitty2015 --root .": "did you mean kitti2015? There are drivingstereo",
+    "evaluate --data kitty2015 --root .": "did you mean kitti2015? There are argoverse",
     "video in.mp4": "nothing to write: give --output VIDEO, --frames FOLDER, --bag or --rerun",
 }
 

@@ -10,14 +10,18 @@ import pytest
 import torch
 from PIL import Image
 
+from extras import need_extra
 from mobilestereonet.data import (
     Calibration,
     image_to_tensor,
+    read_depth_as_disparity,
     read_disparity,
+    read_disparity_exr,
+    read_disparity_fsd,
+    read_disparity_hdf5,
     read_disparity_pfm,
     read_disparity_png,
     read_disparity_sintel,
-    read_disparity_vkitti2,
     read_image,
     read_pfm,
     write_atomically,
@@ -278,14 +282,74 @@ def test_read_disparity_sintel(tmp_path):
         read_disparity_sintel(tmp_path / "grey.png")
 
 
-def test_read_disparity_vkitti2(tmp_path):
+def test_depth_in_centimetres(tmp_path):
     Image.fromarray(np.array([[100, 5000, 65534, 65535, 0]], np.uint16)).save(tmp_path / "d.png")
     calibration = Calibration(focal=725.0087, baseline=0.532725)
-    disparity, valid = read_disparity_vkitti2(tmp_path / "d.png", calibration)
+    disparity, valid = read_depth_as_disparity(tmp_path / "d.png", calibration, 100)
     # At 1 m the disparity is focal times baseline: 725.0087 * 0.532725 = 386.23026.
     np.testing.assert_allclose(disparity[0, :3], [386.23026, 7.7246052, 0.5893586], rtol=1e-6)
     np.testing.assert_array_equal(disparity[0, 3:], [0, 0])
     np.testing.assert_array_equal(valid, [[True, True, True, False, False]])
+
+
+def test_depth_in_metres(tmp_path):
+    np.save(tmp_path / "d.npy", np.array([[16, 1e4, 0, -1, np.inf, np.nan]], np.float32))
+    calibration = Calibration(focal=320, baseline=0.25)
+    disparity, valid = read_depth_as_disparity(tmp_path / "d.npy", calibration)
+    np.testing.assert_allclose(disparity, [[5, 0.008, 0, 0, 0, 0]], rtol=1e-6)
+    np.testing.assert_array_equal(valid, [[True, True, False, False, False, False]])
+
+
+def test_read_disparity_fsd(tmp_path):
+    packed = np.array([[[0, 16, 31], [1, 0, 0], [2, 1, 254], [0, 0, 0]]], np.uint8)
+    Image.fromarray(packed).save(tmp_path / "d.png")
+    disparity, valid = read_disparity_fsd(tmp_path / "d.png")
+    # The base is 255: 16 * 255 + 31, 255 * 255, 2 * 255 * 255 + 255 + 254.
+    np.testing.assert_allclose(disparity, [[4.111, 65.025, 130.559, 0]], rtol=1e-6)
+    np.testing.assert_array_equal(valid, [[True, True, True, False]])
+    Image.fromarray(GREY).save(tmp_path / "grey.png")
+    with pytest.raises(InputError, match="FoundationStereo"):
+        read_disparity_fsd(tmp_path / "grey.png")
+
+
+def test_read_disparity_hdf5(tmp_path):
+    h5py = need_extra("h5py")
+    with h5py.File(tmp_path / "d.dsp5", "w") as file:
+        file["disparity"] = np.array([[1, 2, np.nan, 4], [5, 6, 7, 8], [9, 8, 0, 6]], np.float32)
+    disparity, valid = read_disparity_hdf5(tmp_path / "d.dsp5", step=2)
+    np.testing.assert_array_equal(disparity, [[1, 0], [9, 0]])
+    np.testing.assert_array_equal(valid, [[True, False], [True, False]])
+    with h5py.File(tmp_path / "flow.flo5", "w") as file:
+        file["flow"] = np.zeros((2, 2, 2), np.float32)
+    (tmp_path / "cut.dsp5").write_bytes((tmp_path / "d.dsp5").read_bytes()[:500])
+    for name in ("flow.flo5", "cut.dsp5"):
+        with pytest.raises(InputError, match=rf"{name}: no HDF5 file with an array disparity"):
+            read_disparity_hdf5(tmp_path / name)
+    with pytest.raises(FileNotFoundError, match=r"absent\.dsp5"):
+        read_disparity_hdf5(tmp_path / "absent.dsp5")
+
+
+def test_read_disparity_exr(tmp_path):
+    exr = need_extra("OpenEXR")
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    values = np.array([[1.5, 0, np.inf], [2, 3, 4]], np.float32)
+    for name, channels in (
+        ("one", {"Y": values}),
+        ("half", {"G": values.astype(np.float16)}),
+        ("alike", {"R": values, "G": values, "B": values}),
+    ):
+        exr.File(header, channels).write(str(tmp_path / f"{name}.exr"))
+        disparity, valid = read_disparity_exr(tmp_path / f"{name}.exr")
+        np.testing.assert_array_equal(disparity, [[1.5, 0, 0], [2, 3, 4]])
+        np.testing.assert_array_equal(valid, [[True, False, False], [True, True, True]])
+    exr.File(header, {"R": values, "G": values + 1}).write(str(tmp_path / "two.exr"))
+    with pytest.raises(InputError, match=r"two\.exr: disparity must be one channel, .* it has 2"):
+        read_disparity_exr(tmp_path / "two.exr")
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "one.exr").read_bytes()[:300])
+    with pytest.raises(InputError, match=r"cut\.exr: not an OpenEXR image that is whole"):
+        read_disparity_exr(tmp_path / "cut.exr")
+    with pytest.raises(FileNotFoundError, match=r"absent\.exr"):
+        read_disparity_exr(tmp_path / "absent.exr")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -2,13 +2,24 @@
 
 import os
 import shutil
-import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from scanner_trees import (
+    LEFT,
+    RIGHT,
+    H,
+    W,
+    check_disparity,
+    check_views,
+    flat,
+    put_image,
+    put_pfm,
+    put_text,
+)
 from torch.utils.data import DataLoader
 
 from mobilestereonet.data import (
@@ -24,47 +35,7 @@ from mobilestereonet.data.scanners.kitti import KITTI2015
 from mobilestereonet.data.scanners.sceneflow import SceneFlow
 from mobilestereonet.errors import InputError
 
-H, W = 4, 12
-LEFT, RIGHT = 51, 102  # grey levels of the views: 0.2 and 0.4
-
 pytestmark = pytest.mark.filterwarnings("ignore:.*expected .* frames:UserWarning")
-
-
-def put_image(path, image):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if np.isscalar(image):
-        image = np.full((H, W, 3), image, np.uint8)
-    elif image.ndim == 3:
-        image = image[..., ::-1]
-    assert cv2.imwrite(str(path), image)
-
-
-def put_pfm(path, values):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    height, width = values.shape
-    numbers = struct.pack(f"<{values.size}f", *values[::-1].ravel())
-    path.write_bytes(f"Pf \n{width} {height} \n-1.0\n".encode() + numbers)
-
-
-def put_text(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-
-
-def flat(value, dtype=np.float32):
-    return np.full((H, W), value, dtype)
-
-
-def check_views(sample):
-    torch.testing.assert_close(sample.left, torch.full((3, H, W), 0.2))
-    torch.testing.assert_close(sample.right, torch.full((3, H, W), 0.4))
-
-
-def check_disparity(sample, expected):
-    """Expected disparity, 0 where it must be unknown."""
-    expected = torch.as_tensor(expected, dtype=torch.float32).expand(H, W)
-    torch.testing.assert_close(sample.disparity, expected)
-    torch.testing.assert_close(sample.valid, expected > 0)
 
 
 def put_sceneflow(root, subset, inner, level=None):
@@ -601,10 +572,10 @@ def test_registry(tmp_path):
         with pytest.raises(InputError, match=word):
             open_data_set(name, tmp_path, **options)
     for name in data_sets():
-        with pytest.raises(InputError, match="unknown split, choose one of"):
+        with pytest.raises(InputError, match="unknown split, there are"):
             open_data_set(name, tmp_path, split="nonsense")
         with pytest.raises(
-            FileNotFoundError, match=rf"nothing found in {tmp_path}: no \S+\.(png|jpg)"
+            FileNotFoundError, match=rf"nothing found in {tmp_path}: no \S+\.\S*g\b"
         ):
             open_data_set(name, tmp_path)
 
@@ -643,6 +614,8 @@ def test_occlusion_from_right_view():
         1,
     ]
     assert not occlusion_from_right_view(disparity, nothing, right, known).any()
+    with pytest.raises(InputError, match="right view is 12x2, that of the left view 12x1"):
+        occlusion_from_right_view(disparity, known, np.vstack([right] * 2), known)
 
 
 def test_loads_in_worker_processes(tmp_path):

@@ -3,16 +3,59 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mobilestereonet.cli.early import assignment, data_sets, existing_folder, one_of
-from mobilestereonet.cli.options import Textures
+from mobilestereonet.cli.early import assignment, data_sets, ends_in, existing_folder, one_of
+from mobilestereonet.cli.options import AsJson, Split, Textures
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import override, parse_assignments
 
-data = typer.Typer(name="data", help="Look at data sets.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from mobilestereonet.data.scanners.registry import DataSetInfo
+
+data = typer.Typer(
+    name="data", help="List data sets and look at their pairs.", no_args_is_help=True
+)
+
+
+@data.command("list")
+def list_command(as_json: AsJson = False) -> None:
+    """List the data sets: names for --data, splits with their numbers of pairs, options for --set.
+
+    Example: msnet data list
+    """
+    import json
+    from dataclasses import asdict
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from mobilestereonet.data.scanners.registry import list_data_sets
+
+    found = list_data_sets()
+    if as_json:
+        records = [asdict(info) | {"withheld": sorted(info.withheld)} for info in found]
+        print(json.dumps(records, indent=2))
+        return
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("name", no_wrap=True)
+    for heading in ("what", "splits", "options"):
+        table.add_column(heading)
+    for info in found:
+        table.add_row(info.name, info.summary, _splits(info), ", ".join(info.options))
+    Console().print(table)
+    print("The first split is the default; * has no public ground truth.")
+    print("Also procedural, which needs no files: msnet data preview procedural -o scenes.png")
+
+
+def _splits(info: DataSetInfo) -> str:
+    return ", ".join(
+        split + ("*" if split in info.withheld else "") + (f" ({count:,})" if count else "")
+        for split, count in info.splits.items()
+    )
 
 
 @data.command()
@@ -20,14 +63,20 @@ def preview(
     name: Annotated[
         str,
         typer.Argument(
-            help="procedural, or a data set such as kitti2015.",
+            help="procedural, or a data set of `msnet data list`.",
             callback=one_of(lambda: ["procedural", *data_sets()]),
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="PNG file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="PNG file to write.", callback=ends_in([".png"], "pictures are")
+        ),
+    ],
     root: Annotated[
         Path | None, typer.Option(help="Folder of the data set.", callback=existing_folder)
     ] = None,
+    split: Split = None,
     textures: Textures = None,
     count: Annotated[int, typer.Option(min=1, help="Pairs to show.")] = 6,
     seed: Annotated[int, typer.Option(min=0, help="Which scenes, or which frames.")] = 0,
@@ -35,7 +84,7 @@ def preview(
         list[str] | None,
         typer.Option(
             "--set",
-            help="An option of the data set, such as split=val, or of the scenes, such as "
+            help="An option of the data set, such as size=H, or of the scenes, such as "
             "max_disparity=96. Repeat for more.",
             callback=assignment,
         ),
@@ -45,6 +94,10 @@ def preview(
     options = parse_assignments(assignments or [])
     if name != "procedural" and root is None:
         raise InputError(f"data set {name} needs its folder: --root DIR")
+    if split is not None:
+        if name == "procedural":
+            raise InputError(f"procedural scenes have no split {split}: leave --split out")
+        options["split"] = split
 
     import numpy as np
 

@@ -18,7 +18,7 @@ import typer
 
 from mobilestereonet.atomic import note_inputs
 from mobilestereonet.errors import InputError
-from mobilestereonet.settings import likeliest_name, parse_assignments
+from mobilestereonet.settings import choice_hint, likeliest_name, parse_assignments
 
 ENGINES = ("torch", "onnxruntime", "openvino")
 """Engines that run a network."""
@@ -121,9 +121,7 @@ def one_of(names: Collection[str | int] | Callable[[], Collection[str]]) -> Call
 
 def _check_name(option: str, value: str, names: Collection[str]) -> None:
     if value not in names:
-        near = difflib.get_close_matches(value.lower(), names, n=1)
-        hint = f"did you mean {near[0]}? There are" if near else "there are"
-        raise InputError(f"{option} {value}: {hint} {', '.join(names)}")
+        raise InputError(f"{option} {value}: {choice_hint(value, names)}")
 
 
 def ends_in(endings: Sequence[str], what: str) -> Callback:

@@ -10,7 +10,7 @@ import typer
 
 from mobilestereonet.cli.early import assignment, data_sets, ends_in, one_of
 from mobilestereonet.cli.engine import MatcherOptions, Precision
-from mobilestereonet.cli.options import DataRoot
+from mobilestereonet.cli.options import DataRoot, Split
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import parse_assignments
 
@@ -19,7 +19,8 @@ def evaluate(
     data: Annotated[
         str,
         typer.Option(
-            help="Data set, such as kitti2015, sceneflow, folder.", callback=one_of(data_sets)
+            help="Data set of `msnet data list`, such as kitti2015, sceneflow, folder.",
+            callback=one_of(data_sets),
         ),
     ],
     root: DataRoot,
@@ -33,9 +34,7 @@ def evaluate(
         ),
     ] = None,
     precision: Precision = "fp32",
-    split: Annotated[
-        str | None, typer.Option(help="Split of the data set. Default: its first.")
-    ] = None,
+    split: Split = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(

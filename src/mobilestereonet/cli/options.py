@@ -52,6 +52,10 @@ DataRoot: TypeAlias = Annotated[
     Path,
     typer.Option(help="Folder in which its archives were unpacked.", callback=existing_folder),
 ]
+Split: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="Split of the data set, see `msnet data list`. Default: its first."),
+]
 Textures: TypeAlias = Annotated[
     Path | None,
     typer.Option(help="Folder of photographs for procedural scenes.", callback=existing_folder),

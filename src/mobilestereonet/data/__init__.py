@@ -6,9 +6,14 @@ from mobilestereonet.data.disparity_files import (
     read_disparity,
     read_disparity_pfm,
     read_disparity_png,
-    read_disparity_sintel,
-    read_disparity_vkitti2,
     write_disparity_png,
+)
+from mobilestereonet.data.encoded_disparities import (
+    read_depth_as_disparity,
+    read_disparity_exr,
+    read_disparity_fsd,
+    read_disparity_hdf5,
+    read_disparity_sintel,
 )
 from mobilestereonet.data.files import read_pfm, write_npy, write_pfm, write_png
 from mobilestereonet.data.image_files import read_image
@@ -40,11 +45,14 @@ __all__ = [
     "occlusion_from_right_view",
     "open_data_set",
     "read_calibration",
+    "read_depth_as_disparity",
     "read_disparity",
+    "read_disparity_exr",
+    "read_disparity_fsd",
+    "read_disparity_hdf5",
     "read_disparity_pfm",
     "read_disparity_png",
     "read_disparity_sintel",
-    "read_disparity_vkitti2",
     "read_image",
     "read_pfm",
     "register_data_set",

@@ -17,26 +17,27 @@ import numpy as np
 from mobilestereonet.data.files import read_bytes, read_pfm, write_png
 from mobilestereonet.data.image_files import decode_image, read_image
 from mobilestereonet.data.images import Array, FloatMap, Mask
-from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
 KITTI_SCALE = 256.0
 """Grey levels per pixel of disparity in the PNGs of KITTI and of most sets after it."""
 
 
-def _positive(disparity: Array) -> tuple[FloatMap, Mask]:
-    """Disparities of a file whose convention may be negative ones."""
+def positive_values(disparity: Array) -> tuple[FloatMap, Mask]:
+    """Disparity and mask of a file's values, whose convention may be negative ones."""
     known = disparity[np.isfinite(disparity)]
     negative = np.count_nonzero(known < 0) > np.count_nonzero(known > 0)
-    return _masked(-disparity if negative else disparity)
+    return known_values(-disparity if negative else disparity)
 
 
-def _masked(disparity: Array) -> tuple[FloatMap, Mask]:
+def known_values(disparity: Array) -> tuple[FloatMap, Mask]:
+    """Disparity and mask of a file's values, known where finite and above 0."""
     valid = np.isfinite(disparity) & (disparity > 0)
     return np.where(valid, disparity, 0).astype(np.float32), valid
 
 
-def _grey_levels(path: str | Path, *allowed_bits: int) -> Array:
+def grey_levels(path: str | Path, *allowed_bits: int) -> Array:
+    """Levels (H, W) of a grey image, of one of some depths in bits."""
     levels = decode_image(path)
     _check_grey(path, levels, *allowed_bits)
     return levels
@@ -53,7 +54,7 @@ def _check_grey(path: str | Path, levels: Array, *allowed_bits: int) -> None:
 
 def _disparity_of_levels(path: str | Path, levels: Array, scale: float) -> tuple[FloatMap, Mask]:
     _check_scale(path, scale)
-    return _masked(levels / np.float32(scale))
+    return known_values(levels / np.float32(scale))
 
 
 def _check_scale(path: str | Path, scale: float) -> None:
@@ -80,7 +81,7 @@ def read_disparity_png(
         FileNotFoundError: If there is no such file.
         InputError: If the file is no single-channel image of that depth, or the scale not positive.
     """
-    return _disparity_of_levels(path, _grey_levels(path, bits), scale)
+    return _disparity_of_levels(path, grey_levels(path, bits), scale)
 
 
 def write_disparity_png(
@@ -98,7 +99,7 @@ def write_disparity_png(
     Raises:
         InputError: If a disparity is too large for 16 bits.
     """
-    values, known = _masked(disparity if valid is None else np.where(valid, disparity, 0))
+    values, known = known_values(disparity if valid is None else np.where(valid, disparity, 0))
     levels = np.rint(values * scale)
     if levels.max(initial=0) > 65535:
         raise InputError(
@@ -125,7 +126,27 @@ def read_disparity_pfm(path: str | Path) -> tuple[FloatMap, Mask]:
     disparity = read_pfm(path)
     if disparity.ndim != 2:
         raise InputError(f"{path}: disparity must be a grey PFM (Pf), this one has three channels")
-    return _positive(disparity)
+    return positive_values(disparity)
+
+
+def read_numbers(path: str | Path) -> Array:
+    """Read a NumPy file of real numbers of shape (H, W).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        InputError: If the file is no such array.
+    """
+    content = read_bytes(path)
+    try:
+        values = np.load(BytesIO(content), allow_pickle=False)
+    except Exception as error:  # whatever a parser makes of any bytes
+        raise InputError(f"{path}: not an array file of NumPy: {error}") from None
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf":
+        kind = values.dtype if isinstance(values, np.ndarray) else "several arrays, as in .npz"
+        raise InputError(f"{path}: disparity must be an array of numbers, got {kind}")
+    if values.ndim != 2:
+        raise InputError(f"{path}: disparity must have shape (H, W), got {values.shape}")
+    return values
 
 
 def read_disparity_npy(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
@@ -143,72 +164,16 @@ def read_disparity_npy(path: str | Path, scale: float | None = None) -> tuple[Fl
         InputError: If the file is no array of shape (H, W) of real numbers, or one of integers
             comes without a scale.
     """
-    content = read_bytes(path)
-    try:
-        values = np.load(BytesIO(content), allow_pickle=False)
-    except Exception as error:  # whatever a parser makes of any bytes
-        raise InputError(f"{path}: not an array file of NumPy: {error}") from None
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf":
-        kind = values.dtype if isinstance(values, np.ndarray) else "several arrays, as in .npz"
-        raise InputError(f"{path}: disparity must be an array of numbers, got {kind}")
-    if values.ndim != 2:
-        raise InputError(f"{path}: disparity must have shape (H, W), got {values.shape}")
+    values = read_numbers(path)
     if values.dtype.kind == "f":
-        return _positive(values)
+        return positive_values(values)
     if scale is None:
         raise InputError(
             f"{path}: disparities as {values.dtype} need their scale (levels per pixel): 256 as in "
             "KITTI, 16 as OpenCV's matchers give them, 1 for whole pixels"
         )
     _check_scale(path, scale)
-    return _positive(values / np.float32(scale))
-
-
-def read_disparity_sintel(path: str | Path) -> tuple[FloatMap, Mask]:
-    """Read a disparity of MPI Sintel, packed in an 8-bit RGB image.
-
-    The disparity is ``4 R + G / 2**6 + B / 2**14`` pixels.
-
-    Args:
-        path: The PNG file.
-
-    Returns:
-        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the file is no 8-bit colour image.
-    """
-    levels = decode_image(path)
-    if levels.dtype != np.uint8 or levels.ndim != 3:
-        raise InputError(
-            f"{path}: Sintel packs disparity in an 8-bit RGB image, "
-            f"got {levels.dtype} of shape {levels.shape}"
-        )
-    blue, green, red = np.moveaxis(levels[..., :3].astype(np.float32), 2, 0)
-    return _masked(4 * red + green / 2**6 + blue / 2**14)
-
-
-def read_disparity_vkitti2(path: str | Path, calibration: Calibration) -> tuple[FloatMap, Mask]:
-    """Read a depth image of Virtual KITTI 2 (16-bit, centimetres) as disparity.
-
-    The largest level, 65535, stands for everything beyond 655.35 m, above all the sky: its
-    disparity is only known to be small, so it counts as unknown.
-
-    Args:
-        path: The depth PNG.
-        calibration: The pair's geometry, which turns depth into disparity (``doffs`` is 0).
-
-    Returns:
-        Disparity (H, W) float32 in pixels, 0 where unknown, and mask (H, W), True where known.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        InputError: If the file is no grey 16-bit image.
-    """
-    levels = _grey_levels(path, 16)
-    centimetres = np.where((levels > 0) & (levels < 65535), levels, np.inf)
-    return _masked(calibration.focal * calibration.baseline * 100 / centimetres)
+    return positive_values(values / np.float32(scale))
 
 
 def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatMap, Mask]:
@@ -234,7 +199,7 @@ def read_disparity(path: str | Path, scale: float | None = None) -> tuple[FloatM
         return read_disparity_npy(path, scale)
     levels = decode_image(path)
     if levels.dtype == np.float32 and levels.ndim == 2:
-        return _positive(levels)
+        return positive_values(levels)
     _check_grey(path, levels, 8, 16)
     if scale is None and levels.dtype == np.uint8:
         raise InputError(f"{path}: an 8-bit disparity image needs its scale (levels per pixel)")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from mobilestereonet.data.scanners import StereoDataSet, open_data_set
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import choice_hint
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def open_benchmark(
 def _find(benchmark: str, size: str, training_only: bool) -> Benchmark:
     """Entry of a benchmark, checked to take these options."""
     if benchmark not in BENCHMARKS:
-        raise InputError(f"unknown benchmark {benchmark!r}, choose one of {', '.join(BENCHMARKS)}")
+        raise InputError(f"unknown benchmark {benchmark!r}: {choice_hint(benchmark, BENCHMARKS)}")
     entry = BENCHMARKS[benchmark]
     if training_only and not entry.takes_training_alone:
         raise InputError(f"{benchmark} takes no archive of training scenes alone")

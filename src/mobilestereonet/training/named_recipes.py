@@ -11,7 +11,7 @@ from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import StereoModel, VolumeModel, model_config, model_info
 from mobilestereonet.nets.model import fitting_side
-from mobilestereonet.settings import build
+from mobilestereonet.settings import build, choice_hint
 from mobilestereonet.text import parse_json, parse_yaml, read_text
 from mobilestereonet.training.recipe import Recipe, absolute_reference, net_names
 
@@ -45,7 +45,7 @@ def get_recipe(name: str) -> Recipe:
     if name.endswith(".json"):
         return read_recipe(Path(name))
     if name not in RECIPES:
-        raise InputError(f"unknown recipe {name!r}: choose one of {', '.join(RECIPES)}")
+        raise InputError(f"unknown recipe {name!r}: {choice_hint(name, RECIPES)}")
     return RECIPES[name]
 
 

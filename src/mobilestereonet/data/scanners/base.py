@@ -18,6 +18,7 @@ from mobilestereonet.data.image_files import read_image
 from mobilestereonet.data.images import FloatMap, Mask, image_to_tensor, white_level
 from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.errors import InputError
+from mobilestereonet.settings import choice_hint
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         self.root = Path(root)
         self.split = next(iter(self.splits)) if split is None else split
         if self.split not in self.splits:
-            raise InputError(f"{self}: unknown split, choose one of {', '.join(self.splits)}")
+            raise InputError(f"{self}: unknown split, {choice_hint(self.split, self.splits)}")
         self.frames = [self.frame(left) for left in self.left_views()]
         if self.split in self.withheld:
             self.frames = [replace(frame, disparity=None) for frame in self.frames]
@@ -158,18 +159,16 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         maps: dict[str, Mask | FloatMap | None] = {}
         if frame.disparity is not None:
             disparity, valid = self.read_disparity(frame.disparity)
+            _check_size(frame, left, "disparity", disparity.shape)
             maps = {
                 "disparity": disparity,
                 "valid": valid,
-                "occluded": self.read_occluded(frame.disparity, disparity, valid),
+                "occluded": self._occluded(frame, disparity, valid),
                 "foreground": self.read_foreground(frame.disparity),
             }
         tensors = {key: torch.from_numpy(map_) for key, map_ in maps.items() if map_ is not None}
         for key, tensor in {"right": right, **tensors}.items():
-            if tensor.shape[-2:] != left.shape[-2:]:
-                raise InputError(
-                    f"{frame.left}: left view is {_size(left)}, but {key} is {_size(tensor)}"
-                )
+            _check_size(frame, left, key, tensor.shape)
         if "occluded" in tensors:
             tensors["occluded"] &= tensors["valid"]
         return StereoSample(
@@ -179,6 +178,13 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             name=frame.name,
             **tensors,
         )
+
+    def _occluded(self, frame: Frame, disparity: FloatMap, valid: Mask) -> Mask | None:
+        assert frame.disparity is not None
+        try:
+            return self.read_occluded(frame.disparity, disparity, valid)
+        except InputError as error:
+            raise InputError(f"{frame.left}: {error}") from None
 
     def _check_count(self, strict: bool) -> None:
         expected = self.official_count()
@@ -212,7 +218,15 @@ def occlusion_from_right_view(
 
     Returns:
         Mask (H, W), True where the left pixel is known and occluded.
+
+    Raises:
+        InputError: If the sizes differ.
     """
+    if right_disparity.shape != disparity.shape:
+        raise InputError(
+            f"the ground truth of the right view is {_size(right_disparity.shape)}, "
+            f"that of the left view {_size(disparity.shape)}: they must have one size"
+        )
     height, width = disparity.shape
     column = np.floor(np.arange(width) - disparity + 0.5).astype(np.int64)
     row = np.arange(height)[:, None]
@@ -238,6 +252,13 @@ def _content(root: Path) -> str:
     return f"it holds {', '.join(names[:6]) or 'nothing'}{more}"
 
 
-def _size(tensor: torch.Tensor) -> str:
-    height, width = tensor.shape[-2:]
+def _check_size(frame: Frame, left: torch.Tensor, key: str, shape: Sequence[int]) -> None:
+    if tuple(shape[-2:]) != tuple(left.shape[-2:]):
+        raise InputError(
+            f"{frame.left}: left view is {_size(left.shape)}, but {key} is {_size(shape)}"
+        )
+
+
+def _size(shape: Sequence[int]) -> str:
+    height, width = shape[-2:]
     return f"{width}x{height}"

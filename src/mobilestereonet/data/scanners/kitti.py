@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from mobilestereonet.data.calibration import read_calibration
-from mobilestereonet.data.disparity_files import (
-    read_disparity_png,
-    read_disparity_vkitti2,
-    read_levels,
-)
+from mobilestereonet.data.disparity_files import read_disparity_png, read_levels
+from mobilestereonet.data.encoded_disparities import read_depth_as_disparity
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet, occlusion_from_right_view
@@ -221,7 +218,7 @@ class VirtualKITTI2(StereoDataSet):
 
     def read_disparity(self, truth: Path) -> tuple[FloatMap, Mask]:
         """Read dense disparity, unknown in the sky."""
-        return read_disparity_vkitti2(truth, self.calibration)
+        return read_depth_as_disparity(truth, self.calibration, levels_per_metre=100)
 
     def read_occluded(self, truth: Path, disparity: FloatMap, valid: Mask) -> Mask | None:
         """Compute occlusion, if the right camera's depth is there too."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -11,16 +9,14 @@ from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.disparity_files import read_disparity
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.data.scanners.base import Frame, StereoDataSet
+from mobilestereonet.data.scanners.patterns import PatternDataSet, count_wildcards
 from mobilestereonet.data.scanners.registry import register_data_set
 from mobilestereonet.errors import InputError
 
-_WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
-
 
 @register_data_set("folder")
-class PairFolder(StereoDataSet):
-    """Data set of pairs in any folder, found by patterns.
+class PairFolder(PatternDataSet):
+    """Pairs in any folder, found by patterns.
 
     What the wildcards of ``left`` match in a file's path is filled in for the wildcards of
     ``right`` and ``disparity``, in the same order::
@@ -55,9 +51,9 @@ class PairFolder(StereoDataSet):
         calibration: str | Path | None = None,
         strict: bool = False,
     ) -> None:
-        wildcards = len(_WILDCARD.findall(left))
+        wildcards = count_wildcards(left)
         for pattern in (right, disparity):
-            if pattern is not None and len(_WILDCARD.findall(pattern)) != wildcards:
+            if pattern is not None and count_wildcards(pattern) != wildcards:
                 raise InputError(
                     f"PairFolder: {pattern!r} needs as many wildcards as {left!r}, {wildcards}"
                 )
@@ -68,27 +64,12 @@ class PairFolder(StereoDataSet):
         )
         super().__init__(root, split, strict=strict)
 
-    def patterns(self) -> Sequence[str]:
-        """Glob of the left views."""
-        return [self.left]
-
     def left_views(self) -> list[Path]:
         """Paths that the pattern finds, sorted."""
         try:
             return super().left_views()
         except (NotImplementedError, ValueError) as error:
             raise InputError(f"PairFolder: cannot look for {self.left!r}: {error}") from error
-
-    def frame(self, left: Path) -> Frame:
-        """Paths from the other patterns, filled in."""
-        relative = left.relative_to(self.root)
-        parts = _wildcard_values(self.left, relative.as_posix())
-        return Frame(
-            name=relative.with_suffix("").as_posix(),
-            left=left,
-            right=self.root / _fill(self.right, parts),
-            disparity=None if self.disparity is None else self.root / _fill(self.disparity, parts),
-        )
 
     def truth_advice(self) -> str:
         """Advice to give the option ``disparity``."""
@@ -105,19 +86,3 @@ class PairFolder(StereoDataSet):
     def read_calibration(self, left: Path) -> Calibration | None:
         """Calibration of all pairs."""
         return self.calibration
-
-
-def _wildcard_values(pattern: str, path: str) -> list[str]:
-    groups = {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}
-    texts, wildcards = _WILDCARD.split(pattern), _WILDCARD.findall(pattern)
-    expression = re.escape(texts[0])
-    for wildcard, text in zip(wildcards, texts[1:], strict=True):
-        expression += groups.get(wildcard, "([^/])") + re.escape(text)
-    match = re.fullmatch(expression, path)
-    assert match is not None, f"{path} was found by the glob {pattern}"
-    return list(match.groups())
-
-
-def _fill(pattern: str, values: Sequence[str]) -> str:
-    remaining = iter(values)
-    return _WILDCARD.sub(lambda _: next(remaining), pattern)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from inspect import cleandoc, signature
 from pathlib import Path
 from typing import Any, TypeVar
 
 from mobilestereonet.atomic import note_inputs
 from mobilestereonet.data.scanners.base import StereoDataSet
 from mobilestereonet.errors import InputError
-from mobilestereonet.settings import check_arguments
+from mobilestereonet.settings import check_arguments, choice_hint
 
 _Scanner = TypeVar("_Scanner", bound=type[StereoDataSet])
 _REGISTRY: dict[str, type[StereoDataSet]] = {}
@@ -43,6 +44,41 @@ def data_sets() -> dict[str, type[StereoDataSet]]:
     return dict(_REGISTRY)
 
 
+@dataclass(frozen=True)
+class DataSetInfo:
+    """What a data set is, for lists.
+
+    Attributes:
+        name: What `open_data_set` takes.
+        summary: What it is, in a line.
+        splits: Official number of frames of each split, None where there is none; the first split
+            is the default.
+        withheld: Splits whose ground truth is not public.
+        options: Other arguments of `open_data_set`, and their defaults.
+    """
+
+    name: str
+    summary: str
+    splits: Mapping[str, int | None]
+    withheld: frozenset[str]
+    options: Mapping[str, Any]
+
+
+def list_data_sets() -> list[DataSetInfo]:
+    """What can be opened by name, in the order of the names."""
+    return [_info(name, scanner) for name, scanner in sorted(_REGISTRY.items())]
+
+
+def _info(name: str, scanner: type[StereoDataSet]) -> DataSetInfo:
+    summary = cleandoc(scanner.__doc__ or "").partition("\n")[0]
+    options = {
+        option.name: option.default
+        for option in signature(scanner).parameters.values()
+        if option.name not in ("root", "split", "strict")
+    }
+    return DataSetInfo(name, summary, scanner.splits, scanner.withheld, options)
+
+
 def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
     """Open a data set by name.
 
@@ -60,9 +96,7 @@ def open_data_set(name: str, root: str | Path, **options: Any) -> StereoDataSet:
     """
     known = data_sets()
     if name not in known:
-        near = difflib.get_close_matches(name.lower(), known)
-        hint = f"did you mean {', '.join(near)}? There are" if near else "there are"
-        raise InputError(f"unknown data set {name!r}: {hint} {', '.join(known)}")
+        raise InputError(f"unknown data set {name!r}: {choice_hint(name, known, likeliest=3)}")
     options = check_arguments(known[name].__init__, options, name, reserved=["root"])
     found = known[name](root, **options)
     for frame in found.frames:

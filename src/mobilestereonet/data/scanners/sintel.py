@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mobilestereonet.data.disparity_files import read_disparity_sintel, read_levels
+from mobilestereonet.data.disparity_files import read_levels
+from mobilestereonet.data.encoded_disparities import read_disparity_sintel
 from mobilestereonet.data.images import FloatMap, Mask
 from mobilestereonet.data.scanners.base import Frame, StereoDataSet
 from mobilestereonet.data.scanners.registry import register_data_set
