@@ -34,8 +34,18 @@ ROOMS = (
 """From the ground up."""
 
 
+UPWARD = {"inference/matcher.py": "mobilestereonet.streams.matched"}
+"""The one import upward: `StereoMatcher.stream`, when it is called, for users look for it there."""
+
+
 def imports(path):
     """Modules of this package that a file imports, each with its line; ``a.b`` for both forms."""
+    for module, line in all_imports(path):
+        if module.rpartition(".")[0] != UPWARD.get(path.relative_to(PACKAGE).as_posix()):
+            yield module, line
+
+
+def all_imports(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mobilestereonet"):
             for alias in node.names:

@@ -9,7 +9,6 @@ from .nets import Prediction as Prediction
 from .nets import StereoModel as StereoModel
 from .nets import list_models as list_models
 from .nets import register_model as register_model
-from .streams import match_stream as match_stream
 from .streams import open_stream as open_stream
 from .weights import create_model as create_model
 from .weights import load_model as load_model

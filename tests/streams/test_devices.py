@@ -1,4 +1,4 @@
-"""Cameras of RealSense and OAK, with stand-ins for their makers' libraries."""
+"""Cameras of RealSense, OAK and ZED, with stand-ins for their makers' libraries."""
 
 import sys
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from noise_pairs import HEIGHT, WIDTH, centre, make_pair
 
 from mobilestereonet import InputError
 from mobilestereonet.inference import Rectifier
-from mobilestereonet.streams import devices, match_stream, open_stream
+from mobilestereonet.streams import devices, open_stream
 
 
 class Anything(SimpleNamespace):
@@ -68,15 +68,15 @@ def realsense(monkeypatch, stopped):
 
 
 def test_realsense_gives_depth_at_once(realsense, matcher, stopped):
-    loop = match_stream("realsense:", matcher)
-    frame, result = next(loop)
+    loop = matcher.stream("realsense:")
+    result = next(loop)
     loop.close()
     assert stopped == [True]
     assert [stream[:2] for stream in realsense.asked] == [("infrared", 1), ("infrared", 2)]
     assert np.median(centre(result.disparity)) == pytest.approx(12, abs=0.1)
-    known = frame.calibration
+    known = result.calibration
     assert (known.focal, known.baseline, known.cx, known.size) == (100, 0.05, 80.5, (WIDTH, HEIGHT))
-    assert np.median(centre(result.depth(known))) == pytest.approx(5 / 12, rel=0.01)
+    assert np.median(centre(result.depth())) == pytest.approx(5 / 12, rel=0.01)
 
 
 def test_a_camera_that_is_unplugged_ends_the_stream(realsense, stopped):
@@ -168,6 +168,97 @@ def test_oak_gives_rectified_pictures(monkeypatch, matcher, stopped):
     assert (frame.pair.width, frame.pair.height) == (640, 400)
     assert stopped == [True]
     assert stream.live
+
+
+class Status:
+    """A ZED's answers: names, as its library prints them."""
+
+    SUCCESS = "SUCCESS"
+    CAMERA_NOT_DETECTED = "CAMERA NOT DETECTED"
+
+
+def zed_parameters():
+    """Calibration of rectified pictures in the form in which the maker's library tells it."""
+    lens = SimpleNamespace(
+        fx=262.94,
+        fy=262.94,
+        cx=328.37,
+        cy=186.16,
+        image_size=SimpleNamespace(width=672, height=376),
+    )
+    return SimpleNamespace(left_cam=lens, right_cam=lens, get_camera_baseline=lambda: 0.11997)
+
+
+@pytest.fixture
+def zed(monkeypatch, stopped):
+    """A camera that sees noise; its pictures are BGRA and lie in one array, again and again."""
+    size = (672, 376)
+    views = {
+        side: cv2.cvtColor(cv2.resize(view, size), cv2.COLOR_RGB2BGRA)
+        for side, view in zip(("left", "right"), make_pair(12), strict=True)
+    }
+    memory = np.zeros((376, 672, 4), np.uint8)
+    configuration = SimpleNamespace(calibration_parameters=zed_parameters())
+
+    def retrieve(picture, view):
+        memory[...] = views[view]
+        return Status.SUCCESS
+
+    camera = SimpleNamespace(
+        open=lambda wanted: Status.SUCCESS,
+        get_camera_information=lambda: SimpleNamespace(camera_configuration=configuration),
+        grab=lambda: Status.SUCCESS,
+        retrieve_image=retrieve,
+        close=lambda: stopped.append(True),
+    )
+    wanted = Anything(serials=[])
+    wanted.set_from_serial_number = wanted.serials.append
+    library = SimpleNamespace(
+        Camera=lambda: camera,
+        InitParameters=lambda: wanted,
+        Mat=lambda: SimpleNamespace(get_data=lambda: memory),
+        DEPTH_MODE=SimpleNamespace(NONE="none"),
+        UNIT=SimpleNamespace(METER="metre"),
+        VIEW=SimpleNamespace(LEFT="left", RIGHT="right"),
+        ERROR_CODE=Status,
+    )
+    monkeypatch.setitem(sys.modules, "pyzed", SimpleNamespace(sl=library))
+    return SimpleNamespace(camera=camera, wanted=wanted, views=views)
+
+
+def test_zed_gives_rectified_pictures_and_metres(zed, stopped):
+    stream = open_stream("zed:30573852")
+    assert zed.wanted.serials == [30573852]
+    assert (zed.wanted.depth_mode, zed.wanted.coordinate_units) == ("none", "metre")
+    known = stream.calibration
+    assert (known.focal, known.baseline, known.doffs, known.size) == (
+        262.94,
+        0.11997,
+        0,
+        (672, 376),
+    )
+    assert (known.cx, known.cy, known.focal_y) == (328.37, 186.16, None)
+    frame = next(stream.frames)
+    stream.frames.close()
+    assert stopped == [True]
+    for side in ("left", "right"):
+        expected = cv2.cvtColor(zed.views[side], cv2.COLOR_BGRA2RGB)
+        np.testing.assert_array_equal(getattr(frame.pair, f"{side}_image"), expected)
+
+
+def test_zeds_that_fail(zed, stopped, monkeypatch):
+    zed.camera.grab = lambda: Status.CAMERA_NOT_DETECTED
+    with pytest.warns(UserWarning, match="zed: gave no more pictures after 0 .*NOT DETECTED"):
+        assert not list(open_stream("zed:").frames)
+    assert stopped == [True]
+    zed.camera.open = lambda wanted: Status.CAMERA_NOT_DETECTED
+    with pytest.raises(InputError, match=r"zed:: this camera .*: CAMERA NOT DETECTED"):
+        open_stream("zed:")
+    with pytest.raises(InputError, match="the serial number of a ZED is digits"):
+        open_stream("zed:front")
+    monkeypatch.setitem(sys.modules, "pyzed", None)
+    with pytest.raises(InputError, match=r"pyzed .* ZED SDK, .*get_python_api.py .*/usr/local/zed"):
+        open_stream("zed:")
 
 
 @pytest.mark.parametrize("maker", ["realsense", "oak"])

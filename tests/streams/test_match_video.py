@@ -15,8 +15,8 @@ from mobilestereonet.data import Calibration, Rig
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier
 from mobilestereonet.streams import MapFiles, Stream, match_video, open_stream
+from mobilestereonet.streams.colours import SmoothedRange
 from mobilestereonet.streams.stream import rectify_frames
-from mobilestereonet.streams.video import SmoothedRange
 
 
 def flat(disparity):

@@ -1,4 +1,4 @@
-"""`match_stream`: a loop over any source."""
+"""`StereoMatcher.stream`: a loop over any source."""
 
 import time
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from noise_pairs import centre, make_pair
 
-from mobilestereonet import Calibration, InputError
+from mobilestereonet import Calibration, InputError, StereoResult
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
 from mobilestereonet.inference import Rectifier, load_pair
 from mobilestereonet.inference.first_look import ViewOptions
@@ -16,7 +16,6 @@ from mobilestereonet.streams import (
     Stream,
     look_at_pairs,
     look_at_stream,
-    match_stream,
     open_stream,
 )
 from mobilestereonet.streams.pairs import PairFiles
@@ -24,22 +23,25 @@ from mobilestereonet.streams.pairs import PairFiles
 
 def test_a_loop_over_folders(matcher, sequence):
     (sequence / "left" / "view_5.png").write_bytes(b"")
-    folders = str(sequence / "left"), str(sequence / "right")
     calibration = Calibration(focal=100, baseline=0.2)
-    loop = match_stream(folders[0], matcher, right=folders[1], calibration=calibration)
+    loop = matcher.stream(sequence / "left", right=str(sequence / "right"), rig=calibration)
     with pytest.warns(UserWarning, match="frame view_5 is left out: .*not an image"):
         results = list(loop)
-    assert [frame.index for frame, _ in results] == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]
-    for frame, result in results:
-        assert np.median(centre(result.disparity)) == pytest.approx(10 + frame.index, abs=0.1)
-        assert frame.calibration is calibration
-    with pytest.raises(InputError, match="two folders"):
-        next(match_stream(folders[0], matcher))
+    assert [result.frame.index for result in results] == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]
+    for result in results:
+        index = result.frame.index
+        assert np.median(centre(result.disparity)) == pytest.approx(10 + index, abs=0.1)
+        known = result.calibration
+        assert (known.focal, known.baseline, known.size) == (100, 0.2, (160, 48))
+        assert np.median(centre(result.depth())) == pytest.approx(20 / (10 + index), rel=0.01)
+    assert isinstance(result, StereoResult)
+    with pytest.raises(TypeError, match="rihgt"):
+        next(matcher.stream(str(sequence / "left"), rihgt=str(sequence / "right")))
 
 
 def test_a_loop_that_ends_early_closes_its_source(matcher, sequence):
     stream = open_stream(str(sequence / "left"), str(sequence / "right"))
-    loop = match_stream(stream, matcher)
+    loop = matcher.stream(stream)
     next(loop)
     loop.close()
     assert next(stream.frames, None) is None
@@ -61,9 +63,8 @@ def test_real_time_drops_what_comes_while_matching(matcher, monkeypatch):
 
     monkeypatch.setattr(type(matcher), "match", slow)
     started = time.monotonic()
-    taken = [
-        frame.index for frame, _ in match_stream(Stream(frames(), 20), matcher, real_time=True)
-    ]
+    loop = matcher.stream(Stream(frames(), 20), drop=True)
+    taken = [result.frame.index for result in loop]
     assert time.monotonic() - started > 0.38  # as long as it took to record
     assert taken == sorted(taken)
     assert taken[-1] == 19
@@ -89,9 +90,12 @@ def test_frames_of_a_rig_are_rectified_once(matcher, sequence):
     matcher.rectifier = Rectifier(raw_rig())
     left, right = sequence / "left", sequence / "right"
     expected = matcher.rectifier.pair(load_pair(left / "view_0.png", right / "view_0.png"))
-    frame, result = next(match_stream(str(left), matcher, right=str(right)))
+    result = next(matcher.stream(str(left), right=str(right)))
     np.testing.assert_array_equal(result.left, expected.left_image)
-    assert frame.calibration == result.calibration == expected.calibration
+    assert result.frame.calibration == result.calibration == expected.calibration
+    rig, matcher.rectifier = matcher.rectifier.rig, None
+    again = next(matcher.stream(str(left), right=str(right), rig=rig))
+    np.testing.assert_array_equal(result.left, again.left)
 
 
 def test_a_raw_rig_and_a_source_that_is_rectified_are_refused(matcher, tmp_path):
@@ -99,7 +103,7 @@ def test_a_raw_rig_and_a_source_that_is_rectified_are_refused(matcher, tmp_path)
     calibration = Calibration(focal=100, baseline=0.2)
     pair = make_pair(9)
     with pytest.raises(InputError, match="rectified already"):
-        next(match_stream(stream_of(pair, calibration=calibration), matcher))
+        next(matcher.stream(stream_of(pair, calibration=calibration)))
     paths = tmp_path / "left.png", tmp_path / "right.png"
     for path, view in zip(paths, pair, strict=True):
         cv2.imwrite(str(path), view)

@@ -20,6 +20,7 @@ from mobilestereonet.cli.doctor import doctor
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.export import export
 from mobilestereonet.cli.groups import with_options_of_groups
+from mobilestereonet.cli.live import LiveCommand, live
 from mobilestereonet.cli.models import models
 from mobilestereonet.cli.plot_run import plot_run
 from mobilestereonet.cli.predict import predict
@@ -83,6 +84,7 @@ for command in (
     web,
 ):
     app.command()(with_options_of_groups(command))
+app.command(cls=LiveCommand)(with_options_of_groups(live))
 app.add_typer(data)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from mobilestereonet.accelerate.modules import device_of
 from mobilestereonet.data.rig import Rig
+from mobilestereonet.data.sample import Calibration
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.scaled import ScaledEngine, check_scale
@@ -35,14 +36,19 @@ from mobilestereonet.inference.result import RunInfo, StereoResult
 from mobilestereonet.nets import StereoModel, VolumeModel, model_name
 from mobilestereonet.nets.model import Prediction
 
-RigLike: TypeAlias = Rig | str | Path | Sequence[str | Path]
-"""A rig, or the file or files that describe one."""
+if TYPE_CHECKING:
+    from mobilestereonet.streams.matched import Source, StreamResult
+
+RigLike: TypeAlias = Rig | Calibration | str | Path | Sequence[str | Path]
+"""A rig, the calibration of rectified views, or the file or files that describe one."""
 
 
 def _read_rig(rig: RigLike) -> Rig:
     """Read a rig; what had to be assumed becomes a warning."""
     if isinstance(rig, Rig):
         return rig
+    if isinstance(rig, Calibration):
+        return Rig((rig,), "the calibration")
     read = Rig.read(rig)
     for note in read.notes:
         warnings.warn(f"{read.name}: {note}", stacklevel=4)
@@ -114,9 +120,9 @@ class StereoMatcher:
                 authors'.
             scale: Factor in 0.25..1 of height and width in which a pair is matched: 0.75 takes
                 about half of the time; the result has the size of the views.
-            rig: Geometry of the cameras: a `Rig`, or what `Rig.read` takes. Pairs of images are
-                rectified if they are raw, and results have their calibration; tensors given to
-                `infer` are not touched.
+            rig: Geometry of the cameras: a `Rig`, a `Calibration`, or what `Rig.read` takes. Pairs
+                of images are rectified if they are raw, and results have their calibration;
+                tensors given to `infer` are not touched.
             shift: Disparity from which the search begins, in px: the right view is moved to the
                 right by as much, and the disparities get it back. Above 0 it reaches nearer
                 things, below 0 what converging cameras see with negative disparities.
@@ -373,6 +379,40 @@ class StereoMatcher:
         """
         loaded = load_batch(pairs)
         return self._match(loaded) if loaded else []
+
+    def stream(
+        self, source: Source, *, rig: RigLike | None = None, drop: bool = False, **options: Any
+    ) -> Iterator[StreamResult]:
+        """Match the frames of a video, a camera, a bag or folders; reading and matching overlap.
+
+            for result in matcher.stream("run/left", right="run/right", rig="calib.yaml"):
+                print(result.frame.name, result.depth().max())
+
+        A frame that cannot be read or matched is left out with a warning. What the first look at
+        the first frame puts right holds for all, and every result has its findings.
+
+        Args:
+            source: What `open_stream` takes first (a file, a folder, a bag, a camera), or what it
+                gave.
+            rig: Geometry of the cameras, see `StereoMatcher`; by default the matcher's, or the one
+                that the source knows.
+            drop: True plays a recording as fast as it was taken and drops the frames that come
+                while another one is matched, as cameras always do. ``frame.index`` tells the gaps.
+            **options: Other arguments of `open_stream`, such as ``right`` or ``left_topic``.
+
+        Yields:
+            The results, each with its ``frame`` (name, time, stamp, views).
+
+        Raises:
+            FileNotFoundError: If a file or a folder does not exist.
+            InputError: If the source cannot be opened, or tells that its pictures are rectified
+                while the rig is of raw ones.
+        """
+        # Upward: streams are made of matchers, and a matcher is where users look for them.
+        from mobilestereonet.streams.matched import match_stream
+
+        rectifier = self.rectifier if rig is None else Rectifier(_read_rig(rig))
+        return match_stream(self, source, rectifier=rectifier, drop=drop, **options)
 
     def infer(self, left: Tensor, right: Tensor) -> Prediction:
         """Match a batch of tensors; the values are not checked.

@@ -6,7 +6,7 @@ from mobilestereonet.streams.cluster import match_on_ray
 from mobilestereonet.streams.driving import find_pairs
 from mobilestereonet.streams.look import look_at_pairs, look_at_stream
 from mobilestereonet.streams.maps import MAP_KINDS, MapFiles
-from mobilestereonet.streams.matched import match_stream
+from mobilestereonet.streams.matched import StreamResult
 from mobilestereonet.streams.open import open_stream
 from mobilestereonet.streams.pairs import PairFiles
 from mobilestereonet.streams.rerun_log import RerunLog
@@ -22,13 +22,13 @@ __all__ = [
     "RerunLog",
     "StereoFrame",
     "Stream",
+    "StreamResult",
     "VideoStats",
     "find_pairs",
     "look_at_pairs",
     "look_at_stream",
     "match_on_ray",
     "match_pairs",
-    "match_stream",
     "match_video",
     "open_stream",
 ]

@@ -5,16 +5,25 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mobilestereonet.data.images import Array
 from mobilestereonet.data.rig import Rig
+from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import Rectifier
 from mobilestereonet.streams.pairing import pair_nearest
-from mobilestereonet.streams.ros_input import picture_of, raw_part, rectified_part, rig_of
+from mobilestereonet.streams.ros_input import (
+    VIDEO_PACKETS,
+    check_encoding,
+    picture_of,
+    raw_part,
+    rectified_part,
+    rig_of,
+)
 from mobilestereonet.streams.stream import StereoFrame, Stream, make_frame
 
 BAG_FORMATS = (".mcap", ".bag", ".db3")
@@ -40,6 +49,8 @@ def open_bag(
     left: str | None = None,
     right: str | None = None,
     tolerance: float = TOLERANCE_S,
+    *,
+    rectify: bool = True,
 ) -> Stream:
     """Open a bag of ROS 1 (``.bag``) or ROS 2 (``.mcap``, ``.db3``, or the folder of one).
 
@@ -53,28 +64,131 @@ def open_bag(
         left: Topic of the left images: raw or compressed, see `picture_of`.
         right: Topic of the right images.
         tolerance: Largest difference between the stamps of a pair, in s.
+        rectify: False leaves raw images as they are, without the bag's calibration: somebody who
+            has another one rectifies them.
 
     Raises:
         FileNotFoundError: If there is no such bag.
         InputError: If it cannot be read, or a topic is missing or none of images; the message
             lists the topics that are.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such bag")
-    with _open_reader(path) as reader:
-        topics = {name: (info.msgtype, info.msgcount) for name, info in reader.topics.items()}
-        views = _image_topics(path, topics, left, right)
-        infos = [_camera_info(reader, topics, view) for view in views]
-    rig = _rig(path, views, infos)
-    raw = None if rig is None or are_rectified(path, views) else raw_part(rig)
-    rectify = None if raw is None else Rectifier(Rig((raw,), "camera_info"))
+    bag = StereoBag.open(path, left, right, tolerance)
+    raw = bag.raw_rig
+    rectifier = Rectifier(raw) if rectify and raw is not None else None
+    known = rectify or raw is None
     return Stream(
-        _frames(path, views, tolerance, rectify),
-        total=min(topics[view][1] for view in views),
-        calibration=None if rig is None else rectified_part(rig),
-        topics=views,
+        _frames(bag, rectifier),
+        total=bag.total,
+        calibration=bag.calibration if known else None,
+        topics=bag.topics,
     )
+
+
+@dataclass(frozen=True)
+class BagPair:
+    """Both pictures of a moment in a bag.
+
+    Attributes:
+        index: Its number, from 0.
+        seconds: Time since the first one, in s.
+        stamps: When the left and the right picture were taken, in ns; None for one that is missing.
+        frame_ids: Names of the cameras' coordinate frames; empty for one that is missing.
+        pictures: The pictures, see `picture_of`; None where there is a problem.
+        problem: Why there are none.
+    """
+
+    index: int
+    seconds: float
+    stamps: tuple[int | None, ...]
+    frame_ids: tuple[str, ...]
+    pictures: tuple[Array, Array] | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class StereoBag:
+    """A bag of ROS of which two topics are the views of a stereo camera.
+
+    Attributes:
+        path: The bag.
+        topics: Topics of the left and of the right images.
+        tolerance: Largest difference between the stamps of a pair, in s.
+        total: Number of pairs, if no image is without a partner.
+        rig: What the topics ``camera_info`` beside the images tell; None if there are none.
+    """
+
+    path: Path
+    topics: tuple[str, str]
+    tolerance: float
+    total: int
+    rig: Rig | None
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        left: str | None = None,
+        right: str | None = None,
+        tolerance: float = TOLERANCE_S,
+    ) -> StereoBag:
+        """Open a bag; for arguments and errors see `open_bag`."""
+        path = Path(path)
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such bag")
+        with _open_reader(path) as reader:
+            topics = {name: (info.msgtype, info.msgcount) for name, info in reader.topics.items()}
+            views = _image_topics(path, topics, left, right)
+            for view in views:
+                _check_images(path, reader, view)
+            infos = [_camera_info(reader, topics, view) for view in views]
+        total = min(topics[view][1] for view in views)
+        return cls(path, views, tolerance, total, _rig(path, views, infos))
+
+    @property
+    def raw_rig(self) -> Rig | None:
+        """The rig of the images as they are; None if they are rectified, or nothing is known."""
+        if self.rig is None or are_rectified(self.path, self.topics):
+            return None
+        raw = raw_part(self.rig)
+        return None if raw is None else Rig((raw,), "camera_info")
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration of the images once they are rectified."""
+        return None if self.rig is None else rectified_part(self.rig)
+
+    def pairs(self) -> Generator[BagPair]:
+        """The pairs in the order of their stamps; images without a partner have a problem."""
+        with _open_reader(self.path) as reader:
+            images = _images(reader, self.topics)
+            pairs = pair_nearest(images, lambda image: image.stamp, round(self.tolerance * 1e9))
+            start, seconds = None, 0.0
+            for index, pair in enumerate(pairs):
+                first = next(view for view in pair if view is not None)
+                start = first.stamp if start is None else start
+                seconds = max(seconds, (first.stamp - start) / 1e9)  # a bag may start again
+                yield BagPair(
+                    index,
+                    seconds,
+                    tuple(None if view is None else view.stamp for view in pair),
+                    tuple("" if view is None else view.message.header.frame_id for view in pair),
+                    *self._pictures(pair),
+                )
+
+    def _pictures(
+        self, pair: tuple[_Stamped | None, _Stamped | None]
+    ) -> tuple[tuple[Array, Array] | None, str]:
+        """Both pictures of a pair, or the problem."""
+        left, right = pair
+        if left is not None and right is not None:
+            try:
+                return (picture_of(left.message), picture_of(right.message)), ""
+            except InputError as error:
+                return None, str(error)
+        first = next(view for view in pair if view is not None)
+        present, missing = self.topics if right is None else self.topics[::-1]
+        problem = f"{present} at {first.stamp / 1e9:.6f} s: {missing} has no image within "
+        return None, problem + f"{self.tolerance:g} s of it"
 
 
 def are_rectified(path: Path, topics: Sequence[str]) -> bool:
@@ -120,9 +234,29 @@ def _image_topics(
     if left == right:
         raise InputError(f"{path}: {left} is both the left and the right view; {listed}")
     for topic in (left, right):
-        if topics.get(topic, ("", 0))[0] not in _IMAGES:
+        kind = topics.get(topic, ("", 0))[0]
+        if kind in VIDEO_PACKETS:
+            raise InputError(f"{path}: {topic} holds {VIDEO_PACKETS[kind]}")
+        if kind not in _IMAGES:
             raise InputError(f"{path}: no images on the topic {topic}; {listed}")
     return left, right
+
+
+def _check_images(path: Path, reader: Any, topic: str) -> None:
+    """Refuse a topic whose first image says that it is of a kind that cannot be read."""
+    message = _first_message(reader, topic)
+    try:
+        if message is not None:
+            check_encoding(message)
+    except InputError as error:
+        raise InputError(f"{path}: {topic}: {error}") from None
+
+
+def _first_message(reader: Any, topic: str) -> Any:
+    connections = [each for each in reader.connections if each.topic == topic]
+    for connection, _, data in reader.messages(connections):
+        return reader.deserialize(data, connection.msgtype)
+    return None
 
 
 def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: str) -> Any:
@@ -133,10 +267,7 @@ def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: 
     topic = "/".join([*parts[:-1], "camera_info"])
     if topics.get(topic, ("", 0))[0] != _CAMERA_INFO:
         return None
-    connections = [each for each in reader.connections if each.topic == topic]
-    for connection, _, data in reader.messages(connections):
-        return reader.deserialize(data, connection.msgtype)
-    return None
+    return _first_message(reader, topic)
 
 
 def _rig(path: Path, views: tuple[str, str], infos: list[Any]) -> Rig | None:
@@ -162,29 +293,6 @@ class _Stamped:
     message: Any
 
 
-def _frames(
-    path: Path, views: tuple[str, str], tolerance: float, rectify: Rectifier | None
-) -> Generator[StereoFrame]:
-    with _open_reader(path) as reader:
-        images = _images(reader, views)
-        pairs = pair_nearest(images, lambda image: image.stamp, round(tolerance * 1e9))
-        start, seconds = None, 0.0
-        for index, pair in enumerate(pairs):
-            first = next(view for view in pair if view is not None)
-            start = first.stamp if start is None else start
-            seconds = max(seconds, (first.stamp - start) / 1e9)  # a bag may start again
-            if None in pair:
-                present, missing = views if pair[1] is None else views[::-1]
-                problem = f"{present} at {first.stamp / 1e9:.6f} s: {missing} has no image within "
-                problem += f"{tolerance:g} s of it"
-                frame = StereoFrame(index, f"{index:06d}", seconds, None, problem)
-            else:
-                messages = [view.message for view in pair if view is not None]
-                frame = _frame(index, seconds, messages, rectify)
-            header = first.message.header
-            yield replace(frame, stamp=first.stamp, frame_id=header.frame_id)
-
-
 def _images(reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped]]:
     """Images of both topics in the bag's order: 0 or 1 for left or right, and the message."""
     connections = [connection for connection in reader.connections if connection.topic in views]
@@ -196,11 +304,25 @@ def _images(reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped
         yield views.index(connection.topic), _Stamped(nanoseconds or recorded, message)
 
 
-def _frame(
-    index: int, seconds: float, messages: list[Any], rectify: Rectifier | None
-) -> StereoFrame:
+def _frames(bag: StereoBag, rectifier: Rectifier | None) -> Generator[StereoFrame]:
+    with closing(bag.pairs()) as pairs:
+        for pair in pairs:
+            frame = _frame(pair, rectifier)
+            stamps, frame_ids = pair.stamps, pair.frame_ids
+            yield replace(
+                frame,
+                stamp=stamps[1] if stamps[0] is None else stamps[0],
+                frame_id=frame_ids[0] or frame_ids[1],
+                right_stamp=stamps[1],
+                right_frame_id=frame_ids[1],
+            )
+
+
+def _frame(pair: BagPair, rectifier: Rectifier | None) -> StereoFrame:
     try:
-        pictures = [picture_of(message) for message in messages]
-        return make_frame(index, seconds, pictures if rectify is None else rectify(*pictures)[:2])
+        if pair.pictures is None:
+            raise InputError(pair.problem)
+        pictures = pair.pictures if rectifier is None else rectifier(*pair.pictures)[:2]
+        return make_frame(pair.index, pair.seconds, pictures)
     except InputError as error:
-        return StereoFrame(index, f"{index:06d}", seconds, None, str(error))
+        return StereoFrame(pair.index, f"{pair.index:06d}", pair.seconds, None, str(error))

@@ -1,4 +1,4 @@
-"""Stereo cameras with their makers' libraries: RealSense and OAK, calibrated in the factory."""
+"""Stereo cameras with their makers' libraries: RealSense, OAK, ZED; calibrated in the factory."""
 
 from __future__ import annotations
 
@@ -24,9 +24,15 @@ REALSENSE_SIZE = (848, 480)
 OAK_SIZE = (640, 400)
 FRAMES_PER_SECOND = 30
 
+_NO_ZED = (
+    "pyzed is not installed: it comes with Stereolabs' ZED SDK, not from a package index. The "
+    "SDK's installer leaves get_python_api.py in its folder (/usr/local/zed; on Windows "
+    "C:\\Program Files (x86)\\ZED SDK): run that with this Python"
+)
+
 
 def is_device(source: str) -> bool:
-    """Whether a source is a camera of these makers: ``realsense:`` or ``oak:``, and a serial."""
+    """Whether a source is a camera of these makers: ``realsense:``, ``oak:`` or ``zed:``."""
     return source.partition(":")[0] in _OPENERS and ":" in source
 
 
@@ -34,8 +40,8 @@ def open_device(source: str) -> Stream:
     """Open a camera; frames that come while another one is matched are dropped.
 
     Args:
-        source: ``realsense:`` or ``oak:``; what follows is the serial number or the address of one
-            of several.
+        source: ``realsense:``, ``oak:`` or ``zed:``; what follows is the serial number or the
+            address of one of several.
 
     Raises:
         InputError: If the maker's library is not installed, or there is no such camera.
@@ -43,7 +49,7 @@ def open_device(source: str) -> Stream:
     maker, _, serial = source.partition(":")
     try:
         return _OPENERS[maker](serial)
-    except RuntimeError as error:  # of both libraries
+    except RuntimeError as error:  # of all three libraries
         raise InputError(f"{source}: this camera cannot be opened: {error}") from error
 
 
@@ -121,6 +127,61 @@ def _open_oak(address: str) -> Stream:
     return _live("oak", take, pipeline.stop, calibration)
 
 
+def _open_zed(serial: str) -> Stream:
+    """Both cameras, rectified by the maker's library; its own depth is not computed."""
+    try:
+        from pyzed import sl
+    except ModuleNotFoundError:
+        raise InputError(_NO_ZED) from None
+    wanted = sl.InitParameters()
+    wanted.depth_mode = sl.DEPTH_MODE.NONE
+    wanted.coordinate_units = sl.UNIT.METER
+    wanted.sdk_verbose = 0
+    if serial:
+        if not serial.isdecimal():
+            raise InputError(f"zed:{serial}: the serial number of a ZED is digits alone")
+        wanted.set_from_serial_number(int(serial))
+    camera = sl.Camera()
+    _check_zed(sl, camera.open(wanted))
+    with _stopped_on_error(camera.close):
+        configuration = camera.get_camera_information().camera_configuration
+        calibration = zed_calibration(configuration.calibration_parameters)
+    picture = sl.Mat()
+
+    def take() -> list[Array]:
+        _check_zed(sl, camera.grab())
+        taken = []
+        for view in (sl.VIEW.LEFT, sl.VIEW.RIGHT):  # rectified, BGRA
+            _check_zed(sl, camera.retrieve_image(picture, view))
+            taken.append(np.ascontiguousarray(picture.get_data()[..., 2::-1]))
+        return taken
+
+    return _live("zed", take, camera.close, calibration)
+
+
+def _check_zed(sl: Any, status: Any) -> None:
+    if status != sl.ERROR_CODE.SUCCESS:
+        raise RuntimeError(str(status))
+
+
+def zed_calibration(parameters: Any) -> Calibration:
+    """Calibration of the rectified pictures.
+
+    Args:
+        parameters: ``sl.CalibrationParameters``, in metres.
+    """
+    left, right = parameters.left_cam, parameters.right_cam
+    return Calibration(
+        focal=left.fx,
+        baseline=parameters.get_camera_baseline(),
+        doffs=right.cx - left.cx,
+        cx=left.cx,
+        cy=left.cy,
+        size=(left.image_size.width, left.image_size.height),
+        focal_y=None if left.fy == left.fx else left.fy,
+    )
+
+
 @contextmanager
 def _stopped_on_error(stop: Callable[[], object]) -> Iterator[None]:
     """Context whose errors leave no camera running."""
@@ -173,7 +234,7 @@ def _live(
             for index in count():
                 try:
                     pictures = take()
-                except RuntimeError as error:  # of both libraries
+                except RuntimeError as error:  # of all three libraries
                     warnings.warn(
                         f"{maker}: gave no more pictures after {index} frames ({error}); was the "
                         "camera unplugged?",
@@ -188,4 +249,8 @@ def _live(
     return Stream(latest_only(frames()), None, live=True, calibration=calibration)
 
 
-_OPENERS: dict[str, Callable[[str], Stream]] = {"realsense": _open_realsense, "oak": _open_oak}
+_OPENERS: dict[str, Callable[[str], Stream]] = {
+    "realsense": _open_realsense,
+    "oak": _open_oak,
+    "zed": _open_zed,
+}

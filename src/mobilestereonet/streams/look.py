@@ -120,7 +120,19 @@ def _arranged(
             if pair is not None:
                 known = pair.calibration
                 pair = replace(pair, calibration=None, findings=(*pair.findings, *findings))
-            yield replace(frame, pair=pair, problem=problem, calibration=known)
+            frame = replace(frame, pair=pair, problem=problem, calibration=known)
+            yield _exchanged(frame) if arrangement.swapped else frame
+
+
+def _exchanged(frame: StereoFrame) -> StereoFrame:
+    """A frame whose views have been exchanged: what was said of the right one is of the left."""
+    return replace(
+        frame,
+        stamp=frame.stamp if frame.right_stamp is None else frame.right_stamp,
+        frame_id=frame.right_frame_id,
+        right_stamp=frame.stamp,
+        right_frame_id=frame.frame_id,
+    )
 
 
 @dataclass(frozen=True)

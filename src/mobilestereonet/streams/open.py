@@ -22,13 +22,14 @@ def open_stream(
     right_topic: str | None = None,
     tolerance: float = TOLERANCE_S,
     pair_by: str | None = None,
+    rectify: bool = True,
 ) -> Stream:
     """Open a video, a camera, a bag or an image sequence.
 
     Args:
         left: A video file; the number of a camera, its device or an address; or, for an image
             sequence, a folder or a pattern. Without ``right`` it shows both views side by side.
-            Or a bag, which has both views as topics; or ``realsense:`` or ``oak:``, see
+            Or a bag, which has both views as topics; or ``realsense:``, ``oak:`` or ``zed:``, see
             `open_device`.
         right: The same of the right view.
         fps: Frames per second of an image sequence.
@@ -36,6 +37,7 @@ def open_stream(
         right_topic: Topic of its right images.
         tolerance: Largest difference between the stamps of a pair of a bag, in s.
         pair_by: How an image sequence is paired, see `find_pairs`.
+        rectify: Whether raw pictures of a bag are rectified by its camera_info, see `open_bag`.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
@@ -45,7 +47,7 @@ def open_stream(
     if any(map(is_bag, sources)):
         if right is not None:
             raise InputError(f"{left} and {right}: a bag has both views, give it alone")
-        return open_bag(left, left_topic, right_topic, tolerance)
+        return open_bag(left, left_topic, right_topic, tolerance, rectify=rectify)
     if is_device(left):
         if right is not None:
             raise InputError(f"{left} has both views: leave {right} out")

@@ -6,6 +6,7 @@ by attribute.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import cv2
@@ -38,6 +39,36 @@ _ENCODINGS: dict[str, tuple[type, int, str | None]] = {
 }
 """Encodings of sensor_msgs: dtype and channels of a pixel, and OpenCV's conversion to RGB."""
 
+_REPUBLISH = "the node republish of image_transport makes images of it"
+
+VIDEO_PACKETS = {
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": f"packets of a video: {_REPUBLISH} (from "
+    "ffmpeg to raw)",
+    "theora_image_transport/msg/Packet": f"packets of a Theora video: {_REPUBLISH} (from theora "
+    "to raw)",
+    "foxglove_msgs/msg/CompressedVideo": "packets of a video: record the camera's images instead, "
+    "or decode it with FFmpeg to a file that `msnet video` takes",
+}
+"""Messages of videos by their types: what to say of them."""
+
+_SEMI_PLANAR = re.compile(r"nv\d\d", re.IGNORECASE)
+_VIDEO_FORMAT = re.compile(r"h\.?26[45]|hevc|av1|vp[89]|theora", re.IGNORECASE)
+
+
+def check_encoding(message: Any) -> None:
+    """Refuse an Image or CompressedImage whose encoding cannot be read, before it is decoded.
+
+    Raises:
+        InputError: If it cannot; the message tells what converts it.
+    """
+    if hasattr(message, "encoding"):
+        _known(message.encoding)
+    elif _VIDEO_FORMAT.search(message.format):
+        raise InputError(
+            f"compressed images of format {message.format!r} are packets of a video, which are not "
+            "decoded here: record the camera's images instead"
+        )
+
 
 def picture_of(message: Any) -> Image:
     """The picture of a ``sensor_msgs/Image`` or ``sensor_msgs/CompressedImage``.
@@ -52,6 +83,7 @@ def picture_of(message: Any) -> Image:
     Raises:
         InputError: If it is damaged, or of another encoding.
     """
+    check_encoding(message)
     if hasattr(message, "encoding"):
         return _decoded(_pixels(message), message.encoding)
     image = decode_bytes(f"a compressed image ({message.format})", bytes(message.data))
@@ -79,6 +111,11 @@ def _pixels(message: Any) -> Image:
 
 
 def _known(encoding: str) -> tuple[type, int, str | None]:
+    if _SEMI_PLANAR.fullmatch(encoding):
+        raise InputError(
+            f"images of encoding {encoding!r} cannot be read: the node image_format_converter of "
+            "isaac_ros_image_proc makes rgb8 of them"
+        )
     if encoding not in _ENCODINGS:
         raise InputError(
             f"images of encoding {encoding!r} cannot be read, only {', '.join(_ENCODINGS)}"

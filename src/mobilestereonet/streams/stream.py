@@ -13,6 +13,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference.pair import StereoPair, load_pair
 from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.streams.laser import Pose
+from mobilestereonet.streams.overlap import latest_only
 
 MAX_LOOKED_AT = 30
 """Frames among which one is looked for that shows something: a camera may start in the dark."""
@@ -29,8 +30,10 @@ class StereoFrame:
         pair: Both views; None if they cannot be read.
         problem: Why they cannot; empty if they can.
         calibration: Geometry of the pair, if the source knows it.
-        stamp: When it was taken, in ns of the source's clock; None if the source has none.
+        stamp: When the left view was taken, in ns of the source's clock; None if it has none.
         frame_id: Name of the left camera's coordinate frame in ROS, if the source knows it.
+        right_stamp: When the right view was taken, likewise.
+        right_frame_id: Name of the right camera's frame, likewise.
         to_laser: From the left camera's frame to a laser scanner's, if the source knows it.
     """
 
@@ -42,6 +45,8 @@ class StereoFrame:
     calibration: Calibration | None = None
     stamp: int | None = None
     frame_id: str = ""
+    right_stamp: int | None = None
+    right_frame_id: str = ""
     to_laser: Pose | None = None
 
 
@@ -52,7 +57,7 @@ class Stream:
     Attributes:
         frames: The frames; they can be gone through once. Closing them ends the source.
         total: How many there are; None if that is not known.
-        live: Whether they come from a camera, so that they are other ones the next time.
+        live: Whether they do not wait, as those of a camera: they are other ones the next time.
         calibration: Geometry of all of them, if the source knows it.
         topics: Topics of the left and the right view in ROS; empty for other sources.
     """
@@ -64,7 +69,19 @@ class Stream:
     topics: tuple[str, ...] = ()
 
 
-def in_real_time(frames: Generator[StereoFrame]) -> Generator[StereoFrame]:
+def as_live(stream: Stream) -> Stream:
+    """A stream whose newest frame wins: a recording plays as fast as it was taken.
+
+    Frames that come while another one is in use are dropped, as a camera's are; gaps in their
+    ``index`` tell them.
+    """
+    if stream.live:
+        return stream
+    frames = latest_only(_in_real_time(stream.frames))
+    return replace(stream, frames=frames, total=None, live=True)
+
+
+def _in_real_time(frames: Generator[StereoFrame]) -> Generator[StereoFrame]:
     """Give the frames of a recording when a camera would have given them, and not before."""
     with closing(frames):
         started = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -11,13 +10,12 @@ from itertools import chain
 from pathlib import Path
 from threading import Event
 
-import numpy as np
-
 from mobilestereonet.data.images import Picture
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoResult
-from mobilestereonet.plots import colour_disparity, side_by_side
+from mobilestereonet.plots import side_by_side
 from mobilestereonet.streams.batch import FrameResult, Sink, match_frames
+from mobilestereonet.streams.colours import SmoothedRange
 from mobilestereonet.streams.maps import MapFiles
 from mobilestereonet.streams.overlap import prefetch
 from mobilestereonet.streams.stream import StereoFrame, Stream
@@ -31,48 +29,12 @@ class VideoStats:
     Attributes:
         matched: Frames that were matched, now or by an earlier run.
         broken: Frames that could not be read or matched, and were skipped.
-        dropped: Frames that a live camera took while another one was being matched.
+        dropped: Frames that a live source gave while another one was being matched.
     """
 
     matched: int = 0
     broken: int = 0
     dropped: int = 0
-
-
-class SmoothedRange:
-    """Colour range that follows the scene slowly, so that a video does not flicker.
-
-    Its end is the 99th percentile of the disparity, averaged over about the last second.
-    """
-
-    def __init__(self, memory: float = 1.0) -> None:
-        """Start without a range.
-
-        Args:
-            memory: Seconds after which a frame's weight has sunk to 1/e.
-        """
-        self.memory = memory
-        self.maximum: float | None = None
-        self.seconds = 0.0
-
-    def update(self, seconds: float, result: StereoResult) -> float:
-        """Update the range by a frame.
-
-        Args:
-            seconds: Time at which it is shown, in s; never decreases.
-            result: Its disparity.
-
-        Returns:
-            The disparity of the last colour, in px.
-        """
-        known = result.disparity[result.valid]
-        if known.size:
-            high = float(np.percentile(known, 99))
-            share = 1 - math.exp((self.seconds - seconds) / self.memory)
-            before = high if self.maximum is None else self.maximum
-            self.maximum = before + share * (high - before)
-            self.seconds = seconds
-        return 1.0 if self.maximum is None else self.maximum
 
 
 def match_video(
@@ -165,6 +127,5 @@ def _pictures(
 ) -> Iterator[tuple[float, Picture]]:
     colours = SmoothedRange()
     for seconds, result in results:
-        maximum = colours.update(seconds, result)
-        picture = colour_disparity(result.disparity, maximum, result.valid)
+        picture = colours.colour(seconds, result)
         yield seconds, side_by_side([result.left, picture]) if beside else picture
