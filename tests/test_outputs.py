@@ -11,6 +11,7 @@ from mobilestereonet.atomic import (
     check_outputs,
     note_inputs,
     one_call,
+    unused_path,
     write_atomically,
     write_text,
 )
@@ -172,3 +173,17 @@ def test_two_files_of_one_ending_are_both_listed(msnet, tmp_path):
     code, out, _ = msnet("predict", left, right, "-o", tmp_path, *options)
     assert code == 0
     assert all(str(file) in out.splitlines() for file in files)
+
+
+def test_a_default_is_a_name_where_nothing_is_yet(tmp_path, monkeypatch, msnet):
+    monkeypatch.chdir(tmp_path)
+    for name in ("average.safetensors", "average-2.safetensors"):
+        Path(name).touch()
+    Path("average-3.safetensors").symlink_to("absent")
+    assert unused_path(Path("average.safetensors")) == Path("average-4.safetensors")
+    for name in ("left.png", "right.png"):
+        write_png(name, np.random.default_rng(0).integers(0, 255, (24, 40), dtype=np.uint8))
+    for folder in ("out", "out-2"):
+        code, out, _ = msnet("predict", "left.png", "right.png", "--model", "sgbm")
+        assert code == 0
+        assert str(Path(folder, "left_disparity.png")) in out.splitlines()

@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "src/mobilestereonet"
 
-BASE = ("errors", "atomic", "interruption", "memory", "settings", "text", "timing")
+BASE = ("errors", "atomic", "interruption", "memory", "settings", "text", "timing", "versions")
 """Files that every room may import; they import one another alone."""
 
 ROOMS = (

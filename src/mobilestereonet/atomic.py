@@ -39,6 +39,15 @@ def one_call() -> Iterator[None]:
         _inputs = before
 
 
+def unused_path(path: Path) -> Path:
+    """A path where nothing is: the given one, or name-2, name-3 and so on, with its ending."""
+    tried, number = path, 1
+    while os.path.lexists(tried):
+        number += 1
+        tried = path.with_stem(f"{path.stem}-{number}")
+    return tried
+
+
 def note_inputs(*paths: str | Path) -> None:
     """Note files that are read; within `one_call` none of them is written over afterwards."""
     if _inputs is not None:

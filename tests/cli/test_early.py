@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from mobilestereonet.cli import early
+from mobilestereonet.cli import early, sources
 from mobilestereonet.cli.early import check_registered, check_trained
 from mobilestereonet.data import scanners
 from mobilestereonet.data.augment import AugmentConfig
@@ -72,13 +72,9 @@ MISTAKES = {
     "doctor absent.png absent.png": ("",),
     f"rectify {PAIR} -o out": ("--calib absent.yml", "--calib left.png --unit inch"),
     "rectify absent.png absent.png --calib left.png -o out": ("",),
-    "video left.mp4": (
-        "",
-        "--output out.avi",
-        "--output out.mp4 --resume",
-        "--frames out --beside",
-    ),
+    "video left.mp4": ("--output out.avi", "--output out.mp4 --resume", "--frames out --beside"),
     "video left.mp4 --frames out": (*MATCHER, *CALIBRATION, "--fps 0"),
+    "batch left right": ("--skip-existing",),
     "batch left right -o out": (*MATCHER, *CALIBRATION, "--write depth.jpg", "--workers 0"),
     "models": ("msnet4d", "my_net.py:MyNet"),
     "cost": ("--model msnet4d", "--set planes=3", "--plot out.png", "--paper --height 3"),
@@ -130,7 +126,9 @@ MESSAGES = {
     "cost --model msnet4d": "unknown model 'msnet4d': did you mean msnet",
     "export onx": "format onx: did you mean onnx? There are onnx, openvino",
     "evaluate --data kitty2015 --root .": "did you mean kitti2015? There are argoverse",
-    "video in.mp4": "nothing to write: give --output VIDEO, --frames FOLDER, --bag or --rerun",
+    "video in.mp4 --resume": "--resume needs --frames FOLDER, where the frames' maps are kept",
+    "batch left right --skip-existing": "--skip-existing needs --output FOLDER, which has the maps",
+    "predict left.png right.png --model msnet2d.x": "no version 'msnet2d.x' comes with the package",
 }
 
 
@@ -167,7 +165,7 @@ def test_what_is_said_of_a_mistake(told, command):
 
 def test_the_names_are_those_of_the_rooms():
     assert set(early.ENGINES) == set(choose.ENGINES)
-    assert set(early.RECIPES) == set(named_recipes.RECIPES)
+    assert set(sources.RECIPES) == set(named_recipes.RECIPES)
     assert set(early.FORMATS) == set(FORMATS)
     assert set(early.EXPORT_PRECISIONS) == {p for f in FORMATS.values() for p in f.precisions}
     assert set(early.BENCHMARKS) == set(BENCHMARKS)
@@ -180,15 +178,15 @@ def test_the_names_are_those_of_the_rooms():
     assert early.DEPTH_ENDINGS == DEPTH_FORMATS
     assert early.POINTS_ENDINGS == POINT_FORMATS
     assert early.VIDEO_ENDINGS == video_files.VIDEO_FORMATS
-    assert set(early.data_sets()) == set(scanners.data_sets())
+    assert set(sources.data_sets()) == set(scanners.data_sets())
     for name in list_models():
         check_registered(name)
     configs = {"recipe": Recipe, "augment": AugmentConfig, "scenes": SceneConfig}
-    assert early.recipe_fields() == {
+    assert sources.recipe_fields() == {
         part: [field.name for field in fields(config)] for part, config in configs.items()
     }
     of_networks = {field.name for name in list_models() for field in fields(model_config(name))}
-    assert set(early.network_fields()) == of_networks
+    assert set(sources.network_fields()) == of_networks
 
 
 def test_the_precisions_of_training_are_lightnings():

@@ -12,10 +12,9 @@ import torch
 from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
-from mobilestereonet import StereoMatcher, __version__, create_model, save_weights
+from mobilestereonet import StereoMatcher, __version__, create_model, save_weights, versions
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.engines.torch import TorchEngine
-from mobilestereonet.weights import embedded
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +82,7 @@ def test_predict_writes_what_the_library_gives(msnet, folder):
 
 
 def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weights, monkeypatch):
-    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
+    monkeypatch.setattr(versions, "FOLDER", weights.parent)
     before = tree(folder)
     code, out, _ = msnet("predict", folder / "left.png", folder / "right.png", "-o", folder)
     assert code == 0
@@ -124,7 +123,7 @@ def test_predict_with_the_embedded_weights_beside_its_input(msnet, folder, weigh
 def test_bad_input_ends_with_one_line_and_writes_nothing(
     msnet, folder, weights, monkeypatch, change, message
 ):
-    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
+    monkeypatch.setattr(versions, "FOLDER", weights.parent)
     monkeypatch.setattr(TorchEngine, "__call__", lambda *_: pytest.fail("the network was run"))
     before = tree(folder)
     good = {"left": "left.png", "right": "right.png", "-o": "new", "--weights": "net.safetensors"}
@@ -169,7 +168,7 @@ def test_demo_scores_the_motorcycle(msnet, tmp_path):
 
 
 def test_demo_tells_the_time_of_two_levels(msnet, tmp_path, weights, monkeypatch):
-    monkeypatch.setattr(embedded, "_FOLDER", weights.parent)
+    monkeypatch.setattr(versions, "FOLDER", weights.parent)
     code, out, _ = msnet("demo", "-o", tmp_path, "--threads", 1)
     assert code == 0
     network = r"balanced \(msnet3d[\w-]*\) on torch (fp32|bf16)"

@@ -4,10 +4,9 @@ import pytest
 import torch
 from fake_engines import FakeEngine
 
-from mobilestereonet import InputError, StereoMatcher, create_model, save_weights
+from mobilestereonet import InputError, StereoMatcher, create_model, save_weights, versions
 from mobilestereonet.inference import DEFAULT_MODEL, load_pair
 from mobilestereonet.nets.model import IMAGENET, RGB, Prediction
-from mobilestereonet.weights import embedded
 
 SMALL = {"max_disparity": 32}
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -249,7 +248,7 @@ def test_two_sizes_are_both_named(matcher):
 
 
 def test_from_pretrained(net, tmp_path, monkeypatch):
-    monkeypatch.setattr(embedded, "_FOLDER", tmp_path)
+    monkeypatch.setattr(versions, "FOLDER", tmp_path)
     path = tmp_path / "msnet2d.test-1.safetensors"
     save_weights(net, path, card={})
     pair = random_pair(20, 40)

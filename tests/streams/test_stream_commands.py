@@ -136,7 +136,6 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
         (("video", "fewer", "right", "--frames", "new"), "10 left views, but 11 right ones"),
         (("video", "77", "--frames", "new"), "77: OpenCV cannot open this capture"),
         (("video", "file://text.avi", "--frames", "new"), "text.avi: OpenCV cannot open"),
-        (("video", "left", "right"), "nothing to write"),
         (("video", "left", "right", "--resume", "-o", "v.mp4"), "--resume needs --frames"),
         (
             ("video", "left", "right", "-o", "v.mp4", "--focal", "9", "--baseline", "1"),

@@ -1,15 +1,26 @@
+import hashlib
+import json
+import re
+
 import pytest
 import torch
 
-from mobilestereonet import InputError, create_model, load_model, save_weights, weights
+from mobilestereonet import (
+    InputError,
+    StereoMatcher,
+    create_model,
+    load_model,
+    save_weights,
+    versions,
+    weights,
+)
 from mobilestereonet.nets import is_model, model_config
-from mobilestereonet.weights import embedded
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder in place of the package's."""
-    monkeypatch.setattr(embedded, "_FOLDER", tmp_path)
+    monkeypatch.setattr(versions, "FOLDER", tmp_path)
     return tmp_path
 
 
@@ -17,9 +28,9 @@ def test_a_name_is_its_newest_version(folder):
     assert weights.embedded_models() == []
     with pytest.raises(InputError, match=r"no weights of 'msnet2d' come .* \(of none, they do\)"):
         load_model("msnet2d")
-    versions = [("indoor-9", "2026-01-03", 32), ("outdoor-1", "2026-02-01", 48)]
-    versions += [("outdoor-10", "2026-02-01", 64), ("outdoor-9", "2026-02-01", 80)]
-    for tag, date, disparities in versions:
+    tags = [("indoor-9", "2026-01-03", 32), ("outdoor-1", "2026-02-01", 48)]
+    tags += [("outdoor-10", "2026-02-01", 64), ("outdoor-9", "2026-02-01", 80)]
+    for tag, date, disparities in tags:
         net = create_model("msnet2d", max_disparity=disparities, width=8, hourglasses=1)
         save_weights(net, folder / f"msnet2d.{tag}.safetensors", card={"date": date, "tag": tag})
     assert weights.embedded_models() == ["msnet2d"]
@@ -37,6 +48,34 @@ def test_a_name_is_its_newest_version(folder):
             call("baseline3d")
         with pytest.raises(InputError, match=r"unknown model 'msnet2'.*msnet2d"):
             call("msnet2")
+
+
+def test_a_former_version_is_explained(folder):
+    (folder / "msnet2d.outdoor-2.safetensors").touch()
+    (folder / "msnet2d.outdoor-2.json").write_text("{}")
+    rows = {"outdoor-1": {"commit": "0123abc"}, "indoor-1": {}}
+    records = {f"msnet2d.{tag}": {"package": "0.1.0", **row} for tag, row in rows.items()}
+    (folder / "versions.json").write_text(json.dumps(records))
+    told = (
+        r"^msnet2d.indoor-1 came with mobilestereonet==0.1.0, and now there is msnet2d.outdoor-2: "
+    )
+    with pytest.raises(InputError, match=told + "install that one, or pass the file$"):
+        load_model("msnet2d.indoor-1")
+    with pytest.raises(
+        InputError, match=r"git show 0123abc:\S+/weights/msnet2d.outdoor-1.safetensors"
+    ):
+        StereoMatcher.from_pretrained("msnet2d.outdoor-1")
+
+
+def test_every_version_is_recorded_with_its_checksum():
+    records = versions.recorded_versions()
+    for name in versions.packaged_versions():
+        checksum = hashlib.sha256(versions.packaged_file(name).read_bytes()).hexdigest()
+        assert records.get(name, {}).get("sha256") == checksum, f"{name} in weights/versions.json"
+    former = records.keys() - versions.packaged_versions()
+    assert all("commit" in records[name] for name in former), "the commit to take them from"
+    assert all(re.fullmatch(r"[0-9a-f]{64}", record["sha256"]) for record in records.values())
+    assert all(re.fullmatch(r"[\d.]+", record["package"]) for record in records.values())
 
 
 def test_a_revision_of_embedded_weights_is_a_name():

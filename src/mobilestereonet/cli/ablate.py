@@ -35,7 +35,7 @@ def ablate(
     options: RecipeOptions,
     trainer: TrainerOptions,
 ) -> None:
-    """Train and score several networks under one recipe, beside the paper's figures.
+    """Train and score several networks, beside the paper's figures.
 
     Start it again to go on where it stopped, such as by Ctrl-C.
     """

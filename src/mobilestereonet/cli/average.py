@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.early import ends_in, network_name, weights_file
+from mobilestereonet.cli.options import new_output
 
 
 def average(
@@ -19,11 +20,10 @@ def average(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="File to write, ends in .safetensors.",
-            callback=ends_in([".safetensors"], "weights are"),
+        new_output(
+            "average.safetensors",
+            "File to write, ends in .safetensors.",
+            ends_in([".safetensors"], "weights are"),
         ),
     ],
     model: Annotated[
@@ -32,7 +32,7 @@ def average(
     ] = None,
     half: Annotated[bool, typer.Option(help="Write half precision, half the size.")] = False,
 ) -> None:
-    """Average weights, such as those of several stages of one training."""
+    """Average weights, such as those of stages of one training."""
     import torch
 
     from mobilestereonet.atomic import check_outputs

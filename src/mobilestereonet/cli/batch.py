@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.atomic import unused_path
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import MAP_KINDS, one_of
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
-from mobilestereonet.cli.options import OutputFolder, PairBy
+from mobilestereonet.cli.options import PairBy
 from mobilestereonet.cli.sinks import SinkOptions
 from mobilestereonet.cli.views import ViewFlags
+from mobilestereonet.errors import InputError
 
 
 def batch(
@@ -26,7 +28,15 @@ def batch(
     ],
     right: Annotated[str | None, typer.Argument(help="The right views, likewise.")] = None,
     *,
-    output: OutputFolder,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Folder to write to. Default: maps, numbered if that is there.",
+            show_default=False,
+        ),
+    ] = None,
     write: Annotated[
         list[str] | None,
         typer.Option(
@@ -47,8 +57,10 @@ def batch(
             "finished is kept always.",
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes on the cluster.")] = 2,
-    gpus: Annotated[float, typer.Option(min=0, help="GPUs of each of them.")] = 0,
+    workers: Annotated[
+        int, typer.Option(metavar="<n>", min=1, help="Processes on the cluster.")
+    ] = 2,
+    gpus: Annotated[float, typer.Option(metavar="<n>", min=0, help="GPUs of each of them.")] = 0,
     pair_by: PairBy = None,
     views: ViewFlags,
     sinks: SinkOptions,
@@ -56,10 +68,15 @@ def batch(
     filters: FilterOptions,
     cameras: CalibrationOptions,
 ) -> None:
-    """Match folders of pairs; --skip-existing goes on where it was stopped.
+    """Match folders of pairs.
 
-    Exit code 1: some pairs could not be matched.
+    --skip-existing goes on where it was stopped. Exit code 1: some pairs could not be matched.
     """
+    if output is None:
+        if skip_existing:
+            raise InputError("--skip-existing needs --output FOLDER, which has the maps to keep")
+        output = unused_path(Path("maps"))
+
     import sys
     from contextlib import ExitStack
     from dataclasses import replace
@@ -67,7 +84,6 @@ def batch(
 
     from mobilestereonet.atomic import check_outputs, make_folder, note_inputs
     from mobilestereonet.cli.progress import progress_bar, report_skipped
-    from mobilestereonet.errors import InputError
     from mobilestereonet.streams import (
         MapFiles,
         find_pairs,

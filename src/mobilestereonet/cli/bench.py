@@ -23,11 +23,11 @@ def bench(
         bool, typer.Option("--levels", help="Time the quality levels instead, as predict has them.")
     ] = False,
 ) -> None:
-    """Time every installed engine on this machine, against PyTorch unaccelerated in fp32.
+    """Time every installed engine on this machine.
 
-    Engines that cannot run the network are named and left out.
-    Says how to ask for the fastest one in each precision. Of sgbm or an ONNX file, its own time;
-    with --levels that of each --quality.
+    Times are compared with PyTorch unaccelerated in fp32. Engines that cannot run the network are
+    named and left out. Says how to ask for the fastest one in each precision. Of sgbm or an ONNX
+    file, its own time; with --levels that of each --quality.
     """
     if min(size) < 1:
         raise InputError("size must be a height and a width above 0, got {} {}".format(*size))

@@ -73,8 +73,9 @@ class RigFiles:
     baseline: Annotated[
         float | None,
         typer.Option(
+            metavar="<m>",
             help="Distance between the cameras in metres, with --focal, or where a file has none "
-            "or an unusual one."
+            "or an unusual one.",
         ),
     ] = None
 
@@ -121,21 +122,25 @@ class CalibrationOptions(RigFiles):
         InputError: If they contradict each other, or one lacks another.
     """
 
-    focal: Annotated[float | None, typer.Option(help="Focal length in px, of square pixels.")] = (
-        None
-    )
+    focal: Annotated[
+        float | None, typer.Option(metavar="<px>", help="Focal length in px, of square pixels.")
+    ] = None
     doffs: Annotated[
-        float, typer.Option(help="Principal points' difference, right minus left, in px.")
+        float,
+        typer.Option(metavar="<px>", help="Principal points' difference, right minus left, in px."),
     ] = 0.0
     fov: Annotated[
         float | None,
-        typer.Option(help="Horizontal field of view in degrees, in place of --focal."),
+        typer.Option(
+            metavar="<degrees>", help="Horizontal field of view in degrees, in place of --focal."
+        ),
     ] = None
     known: Annotated[
         str | None,
         typer.Option(
-            metavar="COLUMN,ROW=METRES",
-            help="Depth of what a pixel of the left view shows, in place of --baseline.",
+            metavar="<x,y=m>",
+            help="Depth in metres of what a pixel of the left view shows (column,row=metres), in "
+            "place of --baseline.",
         ),
     ] = None
 

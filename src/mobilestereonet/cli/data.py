@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mobilestereonet.cli.early import assignment, data_sets, ends_in, existing_folder, one_of
-from mobilestereonet.cli.options import AsJson, Split, Textures
+from mobilestereonet.cli.early import assignment, ends_in, existing_folder, one_of
+from mobilestereonet.cli.groups import with_options_of_groups
+from mobilestereonet.cli.options import AsJson, Split, Textures, new_output
+from mobilestereonet.cli.sources import data_sets
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import override, parse_assignments
 
@@ -20,12 +22,8 @@ data = typer.Typer(
 )
 
 
-@data.command("list")
 def list_command(as_json: AsJson = False) -> None:
-    """List the data sets: names for --data, splits with their numbers of pairs, options for --set.
-
-    Example: msnet data list
-    """
+    """List the data sets: names, splits with their numbers of pairs, options for --set."""
     import json
     from dataclasses import asdict
 
@@ -58,7 +56,6 @@ def _splits(info: DataSetInfo) -> str:
     )
 
 
-@data.command()
 def preview(
     name: Annotated[
         str,
@@ -68,10 +65,7 @@ def preview(
         ),
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", help="PNG file to write.", callback=ends_in([".png"], "pictures are")
-        ),
+        Path, new_output("preview.png", "PNG file to write.", ends_in([".png"], "pictures are"))
     ],
     root: Annotated[
         Path | None, typer.Option(help="Folder of the data set.", callback=existing_folder)
@@ -121,3 +115,9 @@ def preview(
     check_outputs(output)
     write_png(output, contact_sheet(samples))
     print(f"{output}: {count} pair{'s' if count > 1 else ''} of {name}")
+
+
+data.command("list", epilog="Example: msnet data list")(with_options_of_groups(list_command))
+data.command(epilog="Example: msnet data preview procedural --count 4")(
+    with_options_of_groups(preview)
+)

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from mobilestereonet.cli.engine import MatcherOptions
-from mobilestereonet.cli.options import OutputFolder
 
 _FASTER = "fast"
 
 
 def demo(
-    output: OutputFolder = Path("demo"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path(
+        "demo"
+    ),
     *,
     options: MatcherOptions,
 ) -> None:
-    """Match the real Motorcycle pair that scikit-image brings along, and score the result.
+    """Match a real pair that comes along, and score the result.
 
-    The pair, its calibration and ground truth are written, too, to try other commands on.
+    It is Middlebury's Motorcycle, which scikit-image brings. The pair, its calibration and ground
+    truth are written, too, to try other commands on.
     Without --model, --weights and --quality the level "fast" is timed as well.
     """
     import torch

@@ -20,7 +20,10 @@ def doctor(
     *,
     files: RigFiles,
 ) -> None:
-    """Say whether a pair is fit for stereo matching, and what to do. Exit code 1: it is not."""
+    """Say whether a pair is fit for stereo matching, and what to do.
+
+    Exit code 1: it is not.
+    """
     import json
     from dataclasses import asdict
 

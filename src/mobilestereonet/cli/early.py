@@ -1,12 +1,12 @@
 """Checks of options that need no heavy import, so that mistakes are told at once.
 
-An option's check is its callback: ``typer.Option(callback=one_of(PRECISIONS))``. The names here are
-those of rooms that import PyTorch; tests compare them.
+An option's check is its callback: ``typer.Option(callback=one_of(PRECISIONS))``; where it knows all
+names, the shell completes them. The names here are those of rooms that import PyTorch; tests
+compare them.
 """
 
 from __future__ import annotations
 
-import ast
 import difflib
 import re
 from collections.abc import Callable, Collection, Sequence
@@ -17,8 +17,16 @@ from typing import Any
 import typer
 
 from mobilestereonet.atomic import note_inputs
+from mobilestereonet.cli.sources import (
+    RECIPES,
+    network_fields,
+    networks,
+    recipe_fields,
+    words_of_networks,
+)
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import choice_hint, likeliest_name, parse_assignments
+from mobilestereonet.versions import explain_missing, packaged_versions
 
 ENGINES = ("torch", "onnxruntime", "openvino")
 """Engines that run a network."""
@@ -26,10 +34,6 @@ ENGINES = ("torch", "onnxruntime", "openvino")
 QUALITIES = ("fast", "balanced", "best")
 
 PRECISIONS = ("auto", "fp32", "bf16", "fp16")
-
-_PACKAGE = Path(__file__).parents[1]
-
-RECIPES = tuple(sorted(path.stem for path in (_PACKAGE / "training/recipes").glob("*.yaml")))
 
 TRAINING_PRECISIONS = (
     *("32-true", "bf16-mixed", "16-mixed", "bf16-true", "16-true", "64-true"),
@@ -79,24 +83,20 @@ BAG_ENDINGS = (".mcap", ".bag")
 
 _WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 
-_RECIPE_PARTS = {
-    "recipe": ("training/recipe.py", "Recipe"),
-    "augment": ("data/augment.py", "AugmentConfig"),
-    "scenes": ("scenes/config.py", "SceneConfig"),
-}
-"""Parts of a recipe, and where their dataclasses are."""
-
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
 
 Callback = Callable[[typer.CallbackParam, Any], Any]
 
 
-def each(check: Callable[[str, Any], None]) -> Callback:
+def each(
+    check: Callable[[str, Any], None], complete: Callable[[], Collection[str]] | None = None
+) -> Callback:
     """The callback of an option that checks each of its values.
 
     Args:
         check: Takes the option, such as "--device", and a value; raises an error if it is bad.
+        complete: Gives the names that the shell completes.
     """
 
     def callback(parameter: typer.CallbackParam, values: Any) -> Any:
@@ -106,17 +106,20 @@ def each(check: Callable[[str, Any], None]) -> Callback:
                 check(name, value)
         return values
 
+    callback.complete = complete  # type: ignore[attr-defined]
     return callback
 
 
 def one_of(names: Collection[str | int] | Callable[[], Collection[str]]) -> Callback:
     """Check that a value is one of some names or numbers."""
 
-    def check(option: str, value: str | int) -> None:
-        known = names() if callable(names) else names
-        _check_name(option, str(value), [str(name) for name in known])
+    def known() -> list[str]:
+        return [str(name) for name in (names() if callable(names) else names)]
 
-    return each(check)
+    def check(option: str, value: str | int) -> None:
+        _check_name(option, str(value), known())
+
+    return each(check, known)
 
 
 def _check_name(option: str, value: str, names: Collection[str]) -> None:
@@ -213,29 +216,6 @@ def check_network_values(model: str | None, names: Collection[str]) -> None:
             raise InputError(f"networks have no value {name!r}: {hint}")
 
 
-def recipe_fields() -> dict[str, list[str]]:
-    """Fields of a recipe and of its parts."""
-    return {part: _fields(*where) for part, where in _RECIPE_PARTS.items()}
-
-
-def network_fields() -> list[str]:
-    """Fields of the configs of all networks."""
-    files = sorted((_PACKAGE / "nets").glob("*.py"))
-    return sorted({name for file in files for name in _fields(file, r"\w*Config")})
-
-
-def _fields(file: str | Path, pattern: str) -> list[str]:
-    """Fields of the dataclasses of a source file whose names match."""
-    return [
-        line.target.id
-        for node in ast.parse((_PACKAGE / file).read_text("utf-8")).body
-        if isinstance(node, ast.ClassDef) and re.fullmatch(pattern, node.name)
-        for line in node.body
-        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
-        if not ast.unparse(line.annotation).startswith("ClassVar")
-    ]
-
-
 def _check_recipe(option: str, recipe: str) -> None:
     if recipe.endswith(".json"):
         _check_file(option, Path(recipe))
@@ -253,22 +233,11 @@ existing_file = each(_check_file)
 existing_source = each(_check_source)
 existing_folder = each(_check_folder)
 weights_file = each(_check_weights)
-network_name = each(check_network)
-recipe_name = each(_check_recipe)
+network_name = each(check_network, networks)
+recipe_name = each(_check_recipe, lambda: RECIPES)
 assignment = each(_check_assignment)
 recipe_value = each(_check_recipe_value)
 device_name = matches(_DEVICE, "auto, cpu, cuda or cuda:1")
-
-
-def data_sets() -> list[str]:
-    """Names of the data sets that can be opened."""
-    return sorted(_registered("data/scanners", r'@register_data_set\("([^"]+)"'))
-
-
-def _registered(folder: str, pattern: str) -> set[str]:
-    """What a pattern finds in a folder's source files."""
-    sources = (path.read_text("utf-8") for path in (_PACKAGE / folder).glob("*.py"))
-    return {name for source in sources for name in re.findall(pattern, source)}
 
 
 def check_registered(name: str) -> None:
@@ -281,12 +250,17 @@ def check_registered(name: str) -> None:
     """
     if any(fnmatch(name, pattern) for pattern in ABLATIONS):
         return
-    if name not in _registered("nets", r'"([\w.-]+)"'):
-        known = _registered("nets", r'register_model\(\s*"([^"]+)"')
-        near = difflib.get_close_matches(name, known) or ["msnet2d", "msnet3d"]
+    if name not in words_of_networks():
+        near = difflib.get_close_matches(name, networks()) or ["msnet2d", "msnet3d"]
         raise InputError(
             f"unknown model {name!r}: did you mean {', '.join(near)}? `msnet models` lists all"
         )
+
+
+def trained_names() -> list[str]:
+    """Names of what matches without further files: weights in the package, their networks, sgbm."""
+    versions = packaged_versions()
+    return sorted({"sgbm", *versions, *(version.partition(".")[0] for version in versions)})
 
 
 def check_trained(model: str | None, weights: Path | None) -> None:
@@ -313,12 +287,15 @@ def check_trained(model: str | None, weights: Path | None) -> None:
         if model != "sgbm":  # which is told that it has no weights
             check_registered(model)
         return
-    versions = [path.stem for path in (_PACKAGE / "weights").glob("*.safetensors")]
-    embedded = sorted({"sgbm", *(version.partition(".")[0] for version in versions)})
-    if model not in embedded and model not in versions:
-        near = difflib.get_close_matches(model, embedded, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(embedded)};"
-        raise InputError(
-            f"no weights of {model!r} come with the package: {hint} Networks without any, see "
-            "`msnet models`, need --weights FILE"
-        )
+    known = trained_names()
+    if model in known:
+        return
+    if packaged_versions(model.partition(".")[0]):
+        raise InputError(explain_missing(model))
+    names = [name for name in known if "." not in name]
+    near = difflib.get_close_matches(model, names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)};"
+    raise InputError(
+        f"no weights of {model!r} come with the package: {hint} Networks without any, see "
+        "`msnet models`, need --weights FILE"
+    )

@@ -18,6 +18,7 @@ from mobilestereonet.cli.early import (
     device_name,
     each,
     one_of,
+    trained_names,
     weights_file,
 )
 from mobilestereonet.errors import InputError
@@ -49,9 +50,12 @@ def network_values(assignments: list[str] | None) -> dict[str, Any]:
 
 
 Model: TypeAlias = Annotated[
-    str | None, typer.Option(help=f"{_SOURCES}; sgbm or onnx:FILE. {_DEFAULT}")
+    str | None,
+    typer.Option(help=f"{_SOURCES}; sgbm or onnx:FILE. {_DEFAULT}", autocompletion=trained_names),
 ]
-Network: TypeAlias = Annotated[str | None, typer.Option(help=f"{_SOURCES}. {_DEFAULT}")]
+Network: TypeAlias = Annotated[
+    str | None, typer.Option(help=f"{_SOURCES}. {_DEFAULT}", autocompletion=trained_names)
+]
 """A model that is a network of PyTorch, as an export needs it."""
 QualityLevel: TypeAlias = Annotated[
     str | None,
@@ -91,7 +95,12 @@ Precision: TypeAlias = Annotated[
 ]
 Threads: TypeAlias = Annotated[
     int | None,
-    typer.Option(min=1, max=_MAX_THREADS, help="Threads on a CPU. Default: the engine's choice."),
+    typer.Option(
+        metavar="<n>",
+        min=1,
+        max=_MAX_THREADS,
+        help="Threads on a CPU. Default: the engine's choice.",
+    ),
 ]
 Device: TypeAlias = Annotated[
     str,
@@ -114,6 +123,7 @@ Refine: TypeAlias = Annotated[
 MaxDisparity: TypeAlias = Annotated[
     int | None,
     typer.Option(
+        metavar="<px>",
         min=16,
         help="Search disparities below this, in px: of 3D networks (a multiple of 32) and sgbm (of "
         "16). Smaller ones take less time, larger ones see nearer things. Default: the model's.",
@@ -124,6 +134,7 @@ MaxDisparity: TypeAlias = Annotated[
 Scale: TypeAlias = Annotated[
     float | None,
     typer.Option(
+        metavar="<part>",
         min=0.25,
         max=1,
         help="Match at this part of height and width; results keep the size of the views. It is "
@@ -134,8 +145,9 @@ Scale: TypeAlias = Annotated[
 Shift: TypeAlias = Annotated[
     int,
     typer.Option(
+        metavar="<px>",
         help="Disparity from which the search begins, in px: above 0 for near things alone, below "
-        "0 for cameras that converge."
+        "0 for cameras that converge.",
     ),
 ]
 

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import assignment, data_sets, ends_in, one_of
+from mobilestereonet.cli.early import assignment, ends_in, one_of
 from mobilestereonet.cli.engine import MatcherOptions, Precision
 from mobilestereonet.cli.options import DataRoot, Split
+from mobilestereonet.cli.sources import data_sets
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import parse_assignments
 
@@ -57,7 +58,7 @@ def evaluate(
     threshold: Annotated[
         list[float] | None, typer.Option(help="A t of bad-t. Repeat for more. Default: 1 2 3.")
     ] = None,
-    batch_size: Annotated[int, typer.Option(min=1, help="Pairs per call.")] = 1,
+    batch_size: Annotated[int, typer.Option(metavar="<n>", min=1, help="Pairs per call.")] = 1,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for error maps, one folder per model in it.")
     ] = None,
@@ -82,7 +83,7 @@ def evaluate(
         ),
     ] = None,
 ) -> None:
-    """Score models on a data set: EPE, D1 and bad-t over all its masks."""
+    """Score models on a data set: EPE, D1, bad-t over all its masks."""
     models: list[str | None] = [*model] if model else [None]
     if options.weights is not None and len(models) > 1:
         raise InputError(

@@ -75,7 +75,10 @@ def export(
         bool, typer.Option("--list", help="List the formats and what is installed.")
     ] = False,
 ) -> None:
-    """Export a network to a file for another runtime; it is run and compared with torch first."""
+    """Write a network for another runtime: ONNX, OpenVINO, a web page.
+
+    The file is run, and compared with PyTorch, first.
+    """
     if list_:
         _print_formats()
         return

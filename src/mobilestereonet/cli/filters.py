@@ -19,11 +19,14 @@ class FilterOptions:
     """Options that say which pixels have a depth: in maps, points and messages alike."""
 
     min_confidence: Annotated[
-        float, typer.Option(min=0, max=1, help="No depth where the network is less confident.")
+        float,
+        typer.Option(
+            metavar="<p>", min=0, max=1, help="No depth where the network is less confident."
+        ),
     ] = 0.0
-    max_depth: Annotated[float, typer.Option(min=0, help="No depth beyond this, in metres.")] = (
-        float("inf")
-    )
+    max_depth: Annotated[
+        float, typer.Option(metavar="<m>", min=0, help="No depth beyond this, in metres.")
+    ] = float("inf")
     keep_edges: Annotated[
         bool | None,
         typer.Option(

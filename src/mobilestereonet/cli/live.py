@@ -64,10 +64,10 @@ def live(
     filters: FilterOptions,
     cameras: CalibrationOptions,
 ) -> None:
-    """Match a camera as it runs, or a recording as fast as it was taken; the newest frame wins.
+    """Match a camera as it runs: the newest frame wins.
 
-    Takes what `msnet video` takes. Frames that come while another one is matched are dropped. The
-    end of the source, Ctrl-C or closing the window ends it.
+    Takes what `msnet video` takes; a recording runs as fast as it was taken. Frames that come while
+    another one is matched are dropped. The end of the source, Ctrl-C or closing the window ends it.
     """
     if show is None and not sinks.given:
         raise InputError(

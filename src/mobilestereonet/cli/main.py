@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Callable
+from inspect import cleandoc
 from typing import Annotated
 
 import typer
@@ -20,6 +23,7 @@ from mobilestereonet.cli.doctor import doctor
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.export import export
 from mobilestereonet.cli.groups import with_options_of_groups
+from mobilestereonet.cli.info import info
 from mobilestereonet.cli.live import LiveCommand, live
 from mobilestereonet.cli.models import models
 from mobilestereonet.cli.plot_run import plot_run
@@ -35,9 +39,41 @@ app = typer.Typer(
     name="msnet",
     help="Stereo matching with MobileStereoNet: a rectified pair in, disparity and depth out.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
+    epilog="Example: msnet demo. What a command does: msnet predict --help.",
 )
+
+COMMANDS: dict[str, dict[Callable[..., None], str]] = {
+    "Match": {
+        demo: "demo",
+        predict: "predict left.png right.png --rig stereo.yml --depth depth.png",
+        batch: "batch left/ right/ -o maps --skip-existing",
+        video: "video left.mp4 right.mp4 -o disparity.mp4",
+        live: "live 0 --show",
+        web: "web --port 8000",
+    },
+    "Cameras": {
+        doctor: "doctor left.png right.png",
+        rectify: "rectify left.png right.png --rig stereo.yml -o rectified",
+    },
+    "Networks and engines": {
+        models: "models msnet3d",
+        bench: "bench --levels",
+        export: "export onnx --model msnet2d",
+        cost: "cost --model msnet2d --height 384 --width 1248",
+        info: "info",
+    },
+    "Research": {
+        evaluate: "evaluate --data kitti2015 --root kitti/ --model msnet3d",
+        submit: "submit kitti2015 --root kitti/ -o kitti2015.zip",
+        train: "train runs/first --model msnet2d --set lr=5e-4",
+        plot_run: "plot-run runs/first",
+        average: "average runs/first/last.ckpt runs/second/last.ckpt",
+        ablate: "ablate runs --table 3a --steps 2000",
+    },
+}
+"""The commands by their panel in the help, each with an example."""
 
 
 _DEBUG = "--debug"
@@ -64,28 +100,15 @@ def common(
     """Options of the program itself; `app` has the help text."""
 
 
-for command in (
-    demo,
-    predict,
-    doctor,
-    rectify,
-    video,
-    batch,
-    models,
-    cost,
-    evaluate,
-    submit,
-    train,
-    average,
-    ablate,
-    plot_run,
-    export,
-    bench,
-    web,
-):
-    app.command()(with_options_of_groups(command))
-app.command(cls=LiveCommand)(with_options_of_groups(live))
-app.add_typer(data)
+for panel, commands in COMMANDS.items():
+    for command, example in commands.items():
+        app.command(
+            cls=LiveCommand if command is live else None,
+            help=re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(command.__doc__ or "")),
+            epilog=f"Example: msnet {example}",
+            rich_help_panel=panel,
+        )(with_options_of_groups(command))
+app.add_typer(data, rich_help_panel="Research")
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mobilestereonet.cli.early import ABLATIONS, check_network
+from mobilestereonet.cli.sources import networks
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,12 +17,16 @@ if TYPE_CHECKING:
 def models(
     name: Annotated[
         str | None,
-        typer.Argument(help="A network or a version of its weights to describe, or a pattern."),
+        typer.Argument(
+            help="A network or a version of its weights to describe, or a pattern.",
+            autocompletion=networks,
+        ),
     ] = None,
 ) -> None:
-    """List the networks, those with weights in the package first, or describe one of them.
+    """List the networks, or describe one of them and its weights.
 
-    A pattern such as ``'table3b-*'`` lists what matches it.
+    Those with weights in the package come first. A pattern such as 'table3b-*' lists what matches
+    it.
     """
     is_name = name is not None and not any(sign in name for sign in "*?[")
     if name is not None and is_name:

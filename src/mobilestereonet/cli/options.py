@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
+from mobilestereonet.atomic import unused_path
 from mobilestereonet.cli.early import (
     PAIR_BY,
+    Callback,
     existing_file,
     existing_folder,
     one_of,
@@ -20,6 +22,24 @@ RECIPE_KINDS = (
     "procedural, procedural-plain, a published one such as paper-sceneflow (`msnet models NAME` "
     "shows a network's), or another run's recipe.json."
 )
+
+
+def new_output(name: str, what: str, callback: Callback | None = None) -> Any:
+    """The option ``--output`` of a command; its default is a name where nothing is yet.
+
+    Args:
+        name: The default; if it is there, the next of name-2, name-3 and so on.
+        what: Help text.
+        callback: Check of the value.
+    """
+    return typer.Option(
+        *("--output", "-o"),
+        help=what,
+        callback=callback,
+        default_factory=lambda: unused_path(Path(name)),
+        show_default=f"{name}, numbered if that is there",
+    )
+
 
 LeftView: TypeAlias = Annotated[
     Path, typer.Argument(help="Left view of a rectified pair.", callback=existing_file)
@@ -34,9 +54,6 @@ SecondView: TypeAlias = Annotated[
         "picture with both views side by side or one above the other.",
         callback=existing_file,
     ),
-]
-OutputFolder: TypeAlias = Annotated[
-    Path, typer.Option("--output", "-o", help="Folder to write to.")
 ]
 PairBy: TypeAlias = Annotated[
     str | None,

@@ -15,7 +15,7 @@ def plot_run(
         Path, typer.Argument(help="Folder of a run of `msnet train`.", callback=existing_folder)
     ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="PNG file. [default: FOLDER/curves.png]")
+        Path | None, typer.Option("--output", "-o", help="PNG file. Default: FOLDER/curves.png.")
     ] = None,
 ) -> None:
     """Draw the curves of a run, all its starts together."""

@@ -11,7 +11,7 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
-from mobilestereonet.cli.options import AsJson, LeftView, OutputFolder, SecondView
+from mobilestereonet.cli.options import AsJson, LeftView, SecondView, new_output
 from mobilestereonet.cli.sinks import Rerun
 from mobilestereonet.cli.views import ViewFlags
 from mobilestereonet.errors import InputError
@@ -21,7 +21,7 @@ def predict(
     left: LeftView,
     right: SecondView = None,
     *,
-    output: OutputFolder,
+    output: Annotated[Path, new_output("out", "Folder to write to.")],
     views: ViewFlags,
     options: MatcherOptions,
     confidence: Annotated[
@@ -50,7 +50,10 @@ def predict(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Match a pair: disparity as 16-bit PNG (x 256, as KITTI), PFM and NPY, and a picture."""
+    """Match a pair: disparity and picture, with --rig depth and points.
+
+    The disparity is written as 16-bit PNG (x 256, as KITTI's), PFM and NPY.
+    """
     import json
     import sys
     from dataclasses import asdict

@@ -10,7 +10,7 @@ import typer
 
 from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.early import existing_source
-from mobilestereonet.cli.options import OutputFolder
+from mobilestereonet.cli.options import new_output
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,15 +30,16 @@ def rectify(
         str | None, typer.Argument(help="The right view, likewise.", callback=existing_source)
     ] = None,
     *,
-    output: OutputFolder,
+    output: Annotated[Path, new_output("rectified", "Folder to write to.")],
     files: RigFiles,
     whole: Annotated[
         bool, typer.Option("--whole", help="Keep all pixels, with black beyond the borders.")
     ] = False,
 ) -> None:
-    """Rectify a pair: left.png, right.png, and calib.txt for `msnet predict --rig`.
+    """Rectify a pair, folders or videos by the cameras' calibration.
 
-    Of folders and videos the pairs go to the folders left and right. Exit code 1: some failed.
+    A pair gives left.png, right.png, and calib.txt for `msnet predict --rig`. Of folders and videos
+    the pairs go to the folders left and right. Exit code 1: some failed.
     """
     import sys
 

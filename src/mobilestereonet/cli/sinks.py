@@ -38,7 +38,11 @@ class TopicOptions:
     ] = None
     tolerance: Annotated[
         float,
-        typer.Option(min=0, help="Largest difference between the stamps of a bag's pair, in s."),
+        typer.Option(
+            metavar="<s>",
+            min=0,
+            help="Largest difference between the stamps of a bag's pair, in s.",
+        ),
     ] = 0.01
 
 

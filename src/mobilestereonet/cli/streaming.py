@@ -39,12 +39,14 @@ class StreamOptions:
     """Options that say how frames come, and how many are to be matched per second."""
 
     fps: Annotated[
-        float, typer.Option(min=0.01, help="Frames per second of an image sequence.")
+        float,
+        typer.Option(metavar="<hz>", min=0.01, help="Frames per second of an image sequence."),
     ] = 10.0
     hz: Annotated[
         float | None,
         typer.Option(
             "--hz",
+            metavar="<hz>",
             min=0.01,
             help="Frames per second to keep up with: chooses the quality, and a smaller size if "
             "need be, by a measurement on the first frame.",

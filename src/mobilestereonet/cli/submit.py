@@ -10,7 +10,7 @@ import typer
 
 from mobilestereonet.cli.early import BENCHMARK_SIZES, BENCHMARKS, one_of
 from mobilestereonet.cli.engine import MatcherOptions, Precision
-from mobilestereonet.cli.options import DataRoot
+from mobilestereonet.cli.options import DataRoot, new_output
 
 
 def submit(
@@ -23,7 +23,7 @@ def submit(
         ),
     ],
     root: DataRoot,
-    output: Annotated[Path, typer.Option("--output", "-o", help="ZIP file to write.")],
+    output: Annotated[Path, new_output("submission.zip", "ZIP file to write.")],
     *,
     options: MatcherOptions,
     precision: Precision = "fp32",
@@ -39,7 +39,7 @@ def submit(
         typer.Option("--training-only", help="Middlebury's training scenes alone, for a trial."),
     ] = False,
 ) -> None:
-    """Match a benchmark's pairs and write the archive that its server takes, checked."""
+    """Write the archive that a benchmark's server takes, checked."""
     options = replace(options, precision=precision)
 
     from rich.console import Console

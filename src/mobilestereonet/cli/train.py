@@ -53,13 +53,13 @@ def train(
             callback=matches(r"\d\d(:\d\d){3}", "DD:HH:MM:SS"),
         ),
     ] = None,
-    devices: Annotated[int, typer.Option(min=1, help="Devices per node.")] = 1,
+    devices: Annotated[int, typer.Option(metavar="<n>", min=1, help="Devices per node.")] = 1,
     num_nodes: Annotated[
-        int, typer.Option(min=1, help="Nodes; start the command on each (torchrun).")
+        int, typer.Option(metavar="<n>", min=1, help="Nodes; start the command on each (torchrun).")
     ] = 1,
     trainer: TrainerOptions,
 ) -> None:
-    """Train a network under a recipe; every value of it can be overridden.
+    """Train a network under a recipe, of which --set changes any value.
 
     Without --recipe it is procedural, or procedural-plain for a network that lacks what that needs:
     both train on procedural scenes, which need no download. The others are published schedules.

@@ -49,6 +49,7 @@ class TrainerOptions:
     workers: Annotated[
         int,
         typer.Option(
+            metavar="<n>",
             min=0,
             help="Processes that read the data set's files or make procedural scenes; without any, "
             "scenes are made on the training device.",

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.atomic import unused_path
 from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.early import VIDEO_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
@@ -27,7 +28,8 @@ def video(
         typer.Option(
             "--output",
             "-o",
-            help="Video of colours to write: .mp4, .mkv or .mov.",
+            help="Video of colours to write: .mp4, .mkv or .mov. Default, if nothing else is asked "
+            "for: disparity.mp4, numbered if that is there.",
             callback=ends_in(VIDEO_ENDINGS, "videos are"),
         ),
     ] = None,
@@ -42,6 +44,7 @@ def video(
         bool,
         typer.Option(
             "--resume",
+            rich_help_panel="Output",
             help="Keep the maps that --frames holds already, whichever network they are of.",
         ),
     ] = False,
@@ -57,9 +60,12 @@ def video(
     filters: FilterOptions,
     cameras: CalibrationOptions,
 ) -> None:
-    """Match a video, a camera, a bag or an image sequence. Ctrl-C ends it; what there is stays."""
+    """Match a video, a camera, a bag or an image sequence.
+
+    Ctrl-C ends it; what there is stays.
+    """
     if output is None and frames is None and not sinks.given:
-        raise InputError("nothing to write: give --output VIDEO, --frames FOLDER, --bag or --rerun")
+        output = unused_path(Path("disparity.mp4"))
     if output is None and beside:
         raise InputError("--beside needs --output VIDEO, whose pictures it widens")
     if frames is None and resume:

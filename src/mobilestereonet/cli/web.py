@@ -25,7 +25,7 @@ def web(
     max_megabytes: Annotated[int, typer.Option(help="Largest upload that is taken.")] = 20,
     queue: Annotated[int, typer.Option(help="Visitors who may wait.")] = 8,
 ) -> None:
-    """Serve a page to try pairs on, to this machine only unless told otherwise."""
+    """Serve a page to try pairs on, to this machine alone by default."""
     import signal
     import sys
     from dataclasses import replace

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import model_config
-
-_FOLDER = Path(__file__).parent
+from mobilestereonet.text import read_json
+from mobilestereonet.versions import explain_missing, packaged_file, packaged_versions
 
 
 def embedded_models() -> list[str]:
     """Names of the networks whose weights come with the package."""
-    return sorted({version.partition(".")[0] for version in _versions()})
+    return sorted({version.partition(".")[0] for version in packaged_versions()})
 
 
 def embedded_versions(model: str) -> list[str]:
@@ -26,12 +25,12 @@ def embedded_versions(model: str) -> list[str]:
     Args:
         model: Name of a network, such as "msnet2d".
     """
-    return sorted((name for name in _versions() if name.partition(".")[0] == model), key=_age)
+    return sorted(packaged_versions(model), key=_age)
 
 
 def is_embedded(name: str) -> bool:
     """Whether a name is that of embedded weights: a network's, or a version's."""
-    return name in _versions() or name in embedded_models()
+    return name in packaged_versions() or name in embedded_models()
 
 
 def embedded_file(name: str) -> Path:
@@ -45,9 +44,9 @@ def embedded_file(name: str) -> Path:
     if name == model and versions:
         name = versions[-1]
     if name in versions:
-        return _FOLDER / f"{name}.safetensors"
+        return packaged_file(name)
     if versions:
-        raise InputError(f"no version {name!r} comes with the package: only {', '.join(versions)}")
+        raise InputError(explain_missing(name))
     model_config(name)  # an unknown name has an error of its own
     raise InputError(
         f"no weights of {name!r} come with the package (of "
@@ -69,17 +68,12 @@ def card(name: str) -> dict[str, Any]:
     Raises:
         InputError: If the name is unknown, or the package has no weights for it.
     """
-    file = embedded_file(name).with_suffix(".json")
-    content: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    content: dict[str, Any] = read_json(embedded_file(name).with_suffix(".json"))
     return content
-
-
-def _versions() -> list[str]:
-    return [path.stem for path in _FOLDER.glob("*.*.safetensors")]
 
 
 def _age(version: str) -> tuple[str, int, str]:
     """Sorts versions: by the date in the card, then by the number at the end of the tag."""
     number = re.search(r"(\d+)$", version)
-    date = json.loads((_FOLDER / f"{version}.json").read_text("utf-8")).get("date", "")
+    date = read_json(packaged_file(version).with_suffix(".json")).get("date", "")
     return date, int(number[1]) if number else 0, version
