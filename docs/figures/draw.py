@@ -10,6 +10,7 @@ from pathlib import Path
 
 import matplotlib
 from boxes import STYLE
+from levels import draw_pareto, draw_speed
 from networks import draw_network
 from peers import MEASURED, draw_figure_1, draw_measured
 from soft_argmax import draw_soft_argmax
@@ -25,6 +26,8 @@ def draw(folder: Path, ending: str = ".svg") -> None:
             draw_network(model, folder / f"{model}{ending}")
         draw_interlacing(folder / f"interlacing{ending}")
         draw_soft_argmax(folder / f"soft_argmax{ending}")
+        draw_speed(folder / f"speed{ending}")
+        draw_pareto(folder / f"pareto{ending}")
         draw_figure_1(folder / f"figure_1{ending}")
         if MEASURED.is_file():
             draw_measured(folder / f"figure_1_measured{ending}")

@@ -63,6 +63,34 @@ def _write_sequences(folder, left, right):
         for _ in range(2):
             video.write(view)
         video.release()
+    assert cv2.imwrite(str(folder / "side_by_side.png"), videos["side_by_side"])
+
+
+def _write_boards(folder):
+    """Pictures of a chessboard, as the page about two webcams takes them."""
+    square, across, down = 12, 10, 7
+    rows, columns = np.mgrid[: down * square, : across * square] // square
+    board = np.where((rows + columns) % 2, 255, 0).astype(np.uint8)
+    board = cv2.copyMakeBorder(board, 12, 12, 12, 12, cv2.BORDER_CONSTANT, value=255)
+    camera = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    metres = 0.025 / square
+    plane = np.array(
+        [
+            [metres, 0, -board.shape[1] / 2 * metres],
+            [0, metres, -board.shape[0] / 2 * metres],
+            [0, 0, 1],
+        ]
+    )
+    for index, tilt in enumerate(np.mgrid[-0.4:0.4:3j, -0.4:0.4:3j].reshape(2, -1).T):
+        turn, _ = cv2.Rodrigues(np.array([*tilt, 0.1 * tilt[0]]))
+        for side, x in (("left", 0.03), ("right", -0.03)):
+            pose = np.column_stack([turn[:, :2], [x, 0.01 * tilt[0], 0.55 + 0.1 * tilt[1]]])
+            view = cv2.warpPerspective(
+                board, camera @ pose @ plane, (WIDTH, HEIGHT), flags=cv2.INTER_AREA, borderValue=200
+            )
+            path = folder / f"board/{side}/{index:02}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(path), view)
 
 
 @pytest.fixture(scope="session")
@@ -88,4 +116,5 @@ def shared_files(tmp_path_factory):
     (folder / "my_pairs" / "disparity").mkdir()
     write_pfm(folder / "my_pairs" / "disparity" / "000.pfm", small.astype(np.float32))
     _write_calibrations(folder)
+    _write_boards(folder)
     return folder

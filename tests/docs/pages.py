@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+GENERATED = ("reference/command-line/", "reference/recipes.md")
+"""Pages, and folders of pages, that `docs/generate/hook.py` makes while the site is built."""
 SET_UP = ("demo", "test")
 """Markers of the README's first two commands, which CI runs."""
 
@@ -29,6 +32,11 @@ class Block:
         """The words of each command, without comments."""
         lines = self.text.replace("\\\n", " ").splitlines()
         return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def page_id(page: Path) -> str:
+    """What tests call a page."""
+    return str(page.relative_to(DOCS if DOCS in page.parents else ROOT))
 
 
 def blocks(page: Path) -> list[Block]:
@@ -63,4 +71,5 @@ def msnet_arguments(words: list[str]) -> list[str] | None:
     """What `msnet` is given in a command; None if the command is another one."""
     if words[0].split("/")[-1] == "msnet":
         return words[1:]
-    return words[words.index("mobilestereonet") + 1 :] if "mobilestereonet" in words else None
+    is_module = ["-m", "mobilestereonet"] in [words[i : i + 2] for i in range(len(words))]
+    return words[words.index("mobilestereonet") + 1 :] if is_module else None

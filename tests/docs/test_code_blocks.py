@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments
+from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments, page_id
 
 from extras import need_extra
 from mobilestereonet.cli.main import app, main
@@ -20,10 +20,10 @@ from mobilestereonet.settings import parse_assignments
 from mobilestereonet.training.named_recipes import get_recipe
 from mobilestereonet.training.recipe import override
 
-EXTRAS = {"streams.md": ("av", "ray.data")}
+EXTRAS = {"streams.md": ("av", "ray.data"), "tutorials/camera.md": ("av",)}
 """What pages need that the base package does not bring."""
 
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+pages = pytest.mark.parametrize("page", PAGES, ids=page_id)
 
 
 def find_command(arguments):
@@ -47,7 +47,7 @@ def check_extras(words):
 def test_blocks_that_do_not_run_say_why(page):
     for block in blocks(page):
         where = f"{page.name}:{block.line}"
-        assert block.language in ("bash", "python", "text"), where
+        assert block.language in ("bash", "python", "text", "json"), where
         set_up = page.name == "README.md" and block.marker in SET_UP
         assert not block.marker or set_up or re.match(r"not run: \w", block.marker), where
 
@@ -141,7 +141,7 @@ def _run_command(words, monkeypatch, capsys, where):
 def test_blocks_run(page, shared_files, tmp_path, monkeypatch, capsys):
     if page.name == "CONTRIBUTING.md":
         pytest.skip("CI runs these commands")
-    for module in EXTRAS.get(page.name, ()):
+    for module in EXTRAS.get(page_id(page), ()):
         need_extra(module)
     shutil.copytree(shared_files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
