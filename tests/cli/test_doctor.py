@@ -114,6 +114,26 @@ def test_rectify_folders_and_videos(msnet, folder):
     assert err.startswith("msnet: 1 skipped: ")
 
 
+def test_rectify_pictures_with_both_views(msnet, folder):
+    write_rig(folder / "stereo.yml")
+    rig = ("--rig", folder / "stereo.yml", "--unit", "mm")
+    views = [
+        cv2.imread(str(folder / f"{side}.png")).astype(np.uint16) * 257
+        for side in ("left", "right")
+    ]
+    (folder / "joined").mkdir()
+    cv2.imwrite(str(folder / "joined/0.png"), np.concatenate(views, axis=1))
+    assert msnet("rectify", folder / "joined/0.png", *rig, "-o", folder / "a")[0] == 0
+    assert msnet("rectify", folder / "joined", *rig, "-o", folder / "b")[0] == 0
+    for path in ("a/left.png", "b/left/0.png"):
+        found = cv2.imread(str(folder / path), -1)
+        assert (found.shape, found.dtype) == ((200, 320, 3), np.uint16)
+    cv2.imwrite(str(folder / "joined/1.png"), views[0][:, :319])
+    code, _, err = msnet("rectify", folder / "joined", *rig, "-o", folder / "c")
+    assert code == 1
+    assert "1 skipped: " in err and "319 px wide" in err
+
+
 def test_doctor_looks_at_what_the_rig_rectifies(msnet, folder):
     write_rig(folder / "stereo.yml", T=np.array([-0.06, 0, 0]))
     views = folder / "left.png", folder / "right.png"

@@ -7,15 +7,24 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from noise_pairs import centre
-from ros_bags import BASELINE_M, FOCAL_PX, FORMATS, START_NS, VIEWS, projection, write_bag
+from noise_pairs import centre, make_pair
+from ros_bags import (
+    BASELINE_M,
+    FOCAL_PX,
+    FORMATS,
+    START_NS,
+    VIEWS,
+    BagWriter,
+    projection,
+    write_bag,
+)
 
 from extras import need_extra
 from mobilestereonet.cli import early
 from mobilestereonet.cli.sinks import TopicOptions
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams import bag_file, bags, open_stream
-from mobilestereonet.streams.ros_input import calibration_of, picture_of
+from mobilestereonet.streams import bag_file, bag_writer, bags, open_stream
+from mobilestereonet.streams.ros_input import calibration_of, check_encoding, picture_of
 
 SGBM = ("--model", "sgbm", "--max-disparity", 64)
 
@@ -97,6 +106,126 @@ def test_raw_images_are_rectified(rosbags, msnet, tmp_path):
     assert code == 0
     depth = centre(cv2.imread(str(tmp_path / "m/000000_depth.png"), -1))
     assert np.median(depth) == pytest.approx(1000 * FOCAL_PX * BASELINE_M / 10, rel=0.02)
+
+
+LENS = [-0.2, 0.05, 0.004, 0.002, 0]
+RAW = [view.replace("rect", "raw") for view in VIEWS]
+
+
+def write_rig(path):
+    """The cameras of `write_bag`'s raw pictures as OpenCV's file."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    camera, lens = projection()[:, :3], np.float64(LENS)
+    values = {"M1": camera, "D1": lens, "M2": camera, "D2": lens, "R": np.eye(3)}
+    for name, value in (values | {"T": np.float64([-BASELINE_M, 0, 0])}).items():
+        storage.write(name, value)
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize("out", ["out.mcap", "out.bag"])
+@pytest.mark.parametrize("rig", [False, True])
+def test_a_raw_bag_becomes_a_rectified_one(rosbags, msnet, tmp_path, out, rig):
+    source = write_bag(tmp_path / "raw.mcap", RAW, frames=2, distortion=LENS, calibrated=not rig)
+    given = ("--rig", write_rig(tmp_path / "rig.yml")) if rig else ()
+    new = tmp_path / "new" / out
+    code, told, err = msnet("rectify", source, *topics(*RAW), *given, "-o", new)
+    assert (code, told, err) == (0, f"{new}\n", "")
+    assert list(new.parent.iterdir()) == [new]
+    messages = read_mcap(new) if new.suffix == ".mcap" else read_ros1(new)
+    kinds = {"image_rect": "sensor_msgs/msg/Image", "camera_info": "sensor_msgs/msg/CameraInfo"}
+    sides = ("left", "right")
+    assert set(messages) == {(f"/stereo/{s}/{n}", k) for s in sides for n, k in kinds.items()}
+    for view, side in enumerate(sides):
+        for name, kind in kinds.items():
+            sent = messages[f"/stereo/{side}/{name}", kind]
+            for frame, (record, message) in enumerate(sent):
+                stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                assert stamp == START_NS + frame * 10**8 + view * 2 * 10**6 == record.log_time
+                assert message.header.frame_id == f"{side}_camera"
+        info = messages[f"/stereo/{side}/camera_info", kinds["camera_info"]][0][1]
+        p = np.reshape(getattr(info, "p", getattr(info, "P", None)), (3, 4))
+        assert p[0, 3] == pytest.approx(-view * p[0, 0] * BASELINE_M)
+        assert not np.any(getattr(info, "d", getattr(info, "D", None)))
+    # What was rectified is a source like any other, and is not rectified again.
+    stream = open_stream(str(new), left_topic=VIEWS[0], right_topic=VIEWS[1])
+    known = stream.calibration
+    assert (known.baseline, known.size) == (pytest.approx(BASELINE_M), (160, 48))
+    pair = next(stream.frames).pair
+    stream.frames.close()
+    image = messages["/stereo/left/image_rect", kinds["image_rect"]][0][1]
+    sent = np.frombuffer(image.data, np.uint8).reshape(48, 160, 3)
+    np.testing.assert_array_equal(pair.left_image, sent)
+    if not rig:  # by camera_info the projection is the one that the pictures had
+        write_bag(tmp_path / "rect.mcap", frames=1)
+        whole = open_stream(str(tmp_path / "rect.mcap"), left_topic=VIEWS[0], right_topic=VIEWS[1])
+        true = next(whole.frames).pair.left_image.astype(float)[10:-10, 20:-20]
+        got = sent.astype(float)[10:-10, 20:-20]
+        assert np.corrcoef(got.ravel(), true.ravel())[0, 1] > 0.9
+
+
+def test_a_bag_is_rectified_to_folders_too(rosbags, msnet, tmp_path):
+    source = write_bag(tmp_path / "raw.bag", RAW, frames=2, distortion=LENS, skipped=[(1, 1)])
+    code, told, err = msnet("rectify", source, *topics(*RAW), "-o", tmp_path / "new")
+    names = ["left/000000.png", "right/000000.png", "calib.txt"]
+    assert told.splitlines() == [str(tmp_path / "new" / name) for name in names]
+    assert code == 1
+    assert re.fullmatch(r"msnet: 000001 skipped: .*/right/image_raw has no image within .*\n", err)
+
+
+def test_sixteen_bits_stay_sixteen(rosbags, msnet, tmp_path):
+    grey = make_pair(9)[0][..., 0].astype(np.uint16) * 200
+    with BagWriter(tmp_path / "raw.mcap") as bag:
+        for topic in ("/cam/left_image", "/cam/right_image"):  # of one namespace
+            bag.image(topic, START_NS, grey, "mono16")
+    rig = "--rig", write_rig(tmp_path / "rig.yml")
+    sides = topics("/cam/left_image", "/cam/right_image")
+    code, _, _ = msnet("rectify", tmp_path / "raw.mcap", *sides, *rig, "-o", tmp_path / "a.mcap")
+    assert code == 0
+    messages = read_mcap(tmp_path / "a.mcap")
+    image = messages["/cam/left_image/image_rect", "sensor_msgs/msg/Image"][0][1]
+    assert image.encoding == "mono16"
+    assert values_of(image, "<u2").max() > 40_000
+    assert ("/cam/right_image/camera_info", "sensor_msgs/msg/CameraInfo") in messages
+
+
+def test_what_cannot_be_rectified_is_told(rosbags, msnet, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "rect.mcap", frames=1)
+    write_bag(tmp_path / "bare.mcap", RAW, frames=1, calibrated=False)
+    rig = "--rig", write_rig(tmp_path / "rig.yml")
+    cv2.imwrite("a.png", make_pair(9)[0])
+    pair, rect = ("a.png", "a.png", *rig), ("rect.mcap", *topics(*VIEWS))
+    before = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+    for words, message in (
+        ((*rect, *rig, "-o", "a"), "is rectified already, as its camera_info tells"),
+        (("bare.mcap", *topics(*RAW), "-o", "a"), "no calibration in it (camera_info): give --rig"),
+        (("rect.mcap", "-o", "a"), "rect.mcap: name both views"),
+        ((*pair, "-o", "a.mcap"), "a.mcap: a bag is written of a bag alone: name a folder"),
+        ((*pair, "--left", "/a", "-o", "a"), "--tolerance are of a bag"),
+        ((*rect, "-o", "rect.mcap"), "rect.mcap: this call reads it"),
+    ):
+        code, out, err = msnet("rectify", *words)
+        assert (code, out) == (2, "")
+        assert re.fullmatch(rf"msnet: .*{re.escape(message)}.*\n", err)
+    assert before == {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+
+
+def test_a_rig_comes_before_a_bags_camera_info(rosbags, msnet, tmp_path):
+    source = write_bag(tmp_path / "raw.mcap", RAW, frames=1, distortion=LENS)
+    rig = "--rig", write_rig(tmp_path / "rig.yml")
+    depth = []
+    for words in ((), rig):
+        maps = tmp_path / f"maps{len(words)}"
+        code, _, err = msnet("video", source, *topics(*RAW), *words, "--frames", maps, *SGBM)
+        assert (code, err) == (0, "")
+        depth.append(np.median(centre(cv2.imread(str(maps / "000000_depth.png"), -1))))
+    assert depth[0] == pytest.approx(depth[1], rel=0.02)
+    code, _, err = msnet(
+        "video", write_bag(tmp_path / "r.mcap", frames=1), *topics(*VIEWS), *rig, "--frames", maps
+    )
+    assert code == 2
+    assert "rectified already" in err
 
 
 @pytest.mark.parametrize(
@@ -231,6 +360,17 @@ def test_images_without_a_partner_are_reported(rosbags, msnet, tmp_path):
     assert "no frame could be matched" in msnet("video", bag, *topics(*VIEWS), *tight, *SGBM)[2]
 
 
+def test_results_of_exchanged_topics_are_of_the_left_camera(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
+    code, _, err = msnet("video", bag, *topics(*VIEWS[::-1]), "--bag", tmp_path / "a.mcap", *SGBM)
+    assert code == 0
+    assert "have been exchanged" in err
+    (message,) = [sent[0][1] for sent in read_mcap(tmp_path / "a.mcap").values()]
+    assert message.header.frame_id == "left_camera"
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == START_NS
+    assert np.median(centre(values_of(message.image, "<f4"))) == pytest.approx(10, abs=0.1)
+
+
 def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
     bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
     assert open_stream(str(bag), left_topic=VIEWS[0], right_topic=VIEWS[1]).calibration is None
@@ -358,6 +498,36 @@ def test_what_is_no_image_is_told(data):
         picture_of(message)
 
 
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ({"encoding": "nv12"}, "'nv12' cannot be read: the node image_format_converter of isaac"),
+        ({"encoding": "NV21"}, "'NV21' cannot be read: the node image_format_converter"),
+        ({"format": "h264"}, "'h264' are packets of a video"),
+        ({"format": "bgr8; H.265 compressed"}, "packets of a video"),
+    ],
+)
+def test_videos_and_planes_are_refused_by_name(message, told):
+    for call in (picture_of, check_encoding):
+        with pytest.raises(InputError, match=told):
+            call(SimpleNamespace(**message, data=b"", height=2, width=2, step=0, is_bigendian=0))
+
+
+def test_a_topic_of_packets_is_refused_before_the_first_frame(rosbags, tmp_path):
+    path = tmp_path / "run.mcap"
+    with BagWriter(path) as bag:
+        for topic in ("/left", "/right"):
+            header = bag.header(START_NS, "camera")
+            data = np.zeros(8, np.uint8)
+            kind = "sensor_msgs/msg/CompressedImage"
+            bag.write(topic, START_NS, kind, header=header, format="h264", data=data)
+    with pytest.raises(InputError, match=r"run.mcap: /left: .*'h264' are packets of a video"):
+        open_stream(str(path), left_topic="/left", right_topic="/right")
+    kinds = dict.fromkeys(("/a", "/b"), ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", 5))
+    with pytest.raises(InputError, match=r"/a holds packets of a video: the node republish"):
+        bags._image_topics(path, kinds, "/a", "/b")
+
+
 def image_message(encoding, height, width, data=bytes(64)):
     return SimpleNamespace(
         encoding=encoding, height=height, width=width, step=0, is_bigendian=0, data=data
@@ -435,5 +605,5 @@ def test_binning_and_region_of_interest():
 
 
 def test_the_command_line_knows_the_names_of_the_library():
-    assert early.BAG_ENDINGS == bag_file.BAG_ENDINGS
+    assert early.BAG_ENDINGS == bag_writer.BAG_ENDINGS
     assert TopicOptions().tolerance == bags.TOLERANCE_S

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from noise_pairs import centre, make_pair
+from PIL import Image
 
 from extras import need_extra
 from mobilestereonet.cli.main import main
@@ -129,8 +130,12 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("video", "absent.mp4", "--frames", "new"), "absent.mp4: no such video"),
-        (("video", "left", "--frames", "new"), "left: an image sequence needs two folders"),
+        (("video", "absent.mp4", "--frames", "new"), "absent.mp4: no such file, folder or"),
+        (("video", "left/view_1.png", "--frames", "new"), "view_1.png: a picture, not a video: "),
+        (
+            ("video", "left/view_1.png", "right/view_1.png", "-o", "a.mp4"),
+            "left/view_1.png: a picture, not a video: `msnet predict` matches one pair",
+        ),
         (("video", "left", "absent", "--frames", "new"), "absent: no such file, folder or"),
         (("video", "left", "fewer", "--frames", "new"), "its right view .*view_9.png is missing"),
         (("video", "fewer", "right", "--frames", "new"), "10 left views, but 11 right ones"),
@@ -152,7 +157,7 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
             ("batch", "left/view_1.png", "right/view_1.png", "-o", "new"),
             "left/view_1.png: one image, not .* `msnet predict LEFT RIGHT`",
         ),
-        (("batch", "left", "-o", "new"), "left: no sequences/"),
+        (("batch", ".", "-o", "new"), "no sequences/.* or a folder of pictures that have both"),
         (("batch", "left", "fewer", "-o", "new"), "its right view .*view_9.png is missing"),
         (("batch", "left", "right", "-o", "new", "--write", "depth.png"), "depth needs --rig"),
         (
@@ -196,6 +201,61 @@ def test_the_first_look_holds_for_all_pairs(msnet, sequence, command):
     for index in (0, 7):
         disparity = cv2.imread(str(maps / f"view_{index}_disparity.png"), -1) / 256
         assert np.median(centre(disparity)) == pytest.approx(10 + index, abs=0.2)
+
+
+@pytest.fixture(params=["beside", "above", "mpo"])
+def stills(request, tmp_path):
+    """Folder of three pictures with both views each; pair i has disparity 10 + i."""
+    folder = tmp_path / "stills"
+    folder.mkdir()
+    for index in range(3):
+        left, right = make_pair(10 + index, index)
+        if request.param == "mpo":
+            views = [Image.fromarray(view) for view in (left, right)]
+            path = folder / f"{index}.mpo"
+            views[0].save(path, save_all=True, append_images=views[1:], quality=95)
+        else:
+            axis = int(request.param == "beside")
+            joined = np.concatenate((left, right), axis)[..., ::-1]
+            assert cv2.imwrite(str(folder / f"{index}.png"), joined)
+    return folder
+
+
+@pytest.mark.parametrize("command", ["batch", "video"])
+def test_a_folder_of_pictures_with_both_views(msnet, stills, tmp_path, command):
+    maps = tmp_path / "maps"
+    code, _, err = msnet(command, stills, "-o" if command == "batch" else "--frames", maps)
+    assert code == 0
+    assert err.startswith("msnet: layout: the picture has one view above the other") or not err
+    for index in range(3):
+        disparity = cv2.imread(str(maps / f"{index}_disparity.png"), -1) / 256
+        assert np.median(centre(disparity)) == pytest.approx(10 + index, abs=0.3)
+
+
+@pytest.mark.parametrize("command", ["batch", "video"])
+def test_left_views_alone_are_not_taken_for_pairs(msnet, tmp_path, command):
+    noise = np.random.default_rng(0).integers(0, 256, (200, 640, 3), dtype=np.uint8)
+    assert cv2.imwrite(str(tmp_path / "0.png"), cv2.GaussianBlur(noise, (0, 0), 2))
+    maps = tmp_path / "maps"
+    place = ("-o" if command == "batch" else "--frames", maps)
+    code, _, err = msnet(command, tmp_path, *place)
+    assert code == 2
+    assert "the halves of its picture show no common scene: give the right view's, too" in err
+    assert not maps.exists()
+    for way_out in (("--layout", "side-by-side"), ("--force",)):
+        assert msnet(command, tmp_path, *place, *way_out)[0] == 0
+
+
+def test_an_odd_width_of_views_above_each_other(msnet, tmp_path):
+    for index in range(2):
+        views = [view[:, :159] for view in make_pair(10, index)]
+        assert cv2.imwrite(str(tmp_path / f"{index}.png"), np.concatenate(views)[..., ::-1])
+    for words in (("batch", "-o"), ("video", "--frames")):
+        command, place = words
+        maps = tmp_path / command
+        code, _, _ = msnet(command, tmp_path, place, maps, "--layout", "top-bottom")
+        assert code == 0
+        assert len(list(maps.iterdir())) == 2
 
 
 @pytest.mark.parametrize("command", ["batch", "video"])

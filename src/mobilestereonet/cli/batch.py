@@ -22,8 +22,9 @@ def batch(
     left: Annotated[
         str,
         typer.Argument(
-            help="Folder or pattern of left views; alone, the folder of KITTI's odometry, "
-            "SemanticKITTI (sequences/00/image_2 ...) or KITTI-360 (data_2d_raw ...)."
+            help="Folder or pattern of left views; alone, of side-by-side or MPO pictures, or the "
+            "folder of KITTI's odometry, SemanticKITTI (sequences/00/image_2 ...) or KITTI-360 "
+            "(data_2d_raw ...)."
         ),
     ],
     right: Annotated[str | None, typer.Argument(help="The right views, likewise.")] = None,
@@ -104,7 +105,7 @@ def batch(
     rectifier = cameras.read()
     pairs = find_pairs(left, right, pair_by)
     for pair in pairs:
-        note_inputs(pair.left, pair.right)
+        note_inputs(*pair.files)
     check_outputs(*(path for pair in pairs for path in files.paths(pair.name)), *sinks.files)
     if files.needs_calibration and not rectifier and any(p.calibration is None for p in pairs):
         raise InputError("depth needs --rig FILE, or --focal and --baseline")
@@ -117,7 +118,11 @@ def batch(
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     findings, arrangement = look_at_pairs(todo, views.views, rectifier, shift=options.shift)
     known = rectifier is not None or any(pair.calibration for pair in pairs)
-    views.report(findings, metric=files.needs_calibration or (known and bool(sinks.given)))
+    views.report(
+        findings,
+        metric=files.needs_calibration or (known and bool(sinks.given)),
+        joined=left if any(pair.right is None for pair in pairs) else None,
+    )
     make_folder(output)
     summary, stack = "", ExitStack()
     if ray is None:

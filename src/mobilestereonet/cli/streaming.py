@@ -27,8 +27,8 @@ LeftSource: TypeAlias = Annotated[
     str,
     typer.Argument(
         help="Side-by-side video, or the left view's: a file; a camera's number, device or "
-        "address; a folder or a pattern of images. A bag: .mcap, .bag, .db3 or its folder. "
-        "realsense:, oak: or zed:."
+        "address; a folder or a pattern of images (alone also of MPO files). A bag: .mcap, .bag, "
+        ".db3 or its folder. realsense:, oak: or zed:."
     ),
 ]
 RightSource: TypeAlias = Annotated[str | None, typer.Argument(help="The right view's, likewise.")]
@@ -122,11 +122,18 @@ class MatchedStream:
         check_outputs(*outputs)
         raw = rectifier is not None and rectifier.rectifies
         stream = open_stream(
-            left, right, source.fps, pair_by=source.pair_by, rectify=not raw, **asdict(topics)
+            left,
+            right,
+            source.fps,
+            pair_by=source.pair_by,
+            rectify=not raw,
+            top_bottom=views.layout == "top-bottom",
+            **asdict(topics),
         )
+        joined = right is None and not stream.live and not stream.topics
         findings, stream = look_at_stream(stream, views.views, rectifier, shift=options.shift)
         deep = rectifier is not None or stream.calibration is not None
-        views.report(findings, metric=deep and metric)
+        views.report(findings, metric=deep and metric, joined=left if joined else None)
         if hz is None:
             return cls(stream, filters.open_matcher(options, confidence=confidence), deep)
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)

@@ -58,15 +58,17 @@ class ViewFlags:
 
         return ViewOptions(self.layout, self.order, self.rotate)
 
-    def report(self, findings: Iterable[Finding], metric: bool) -> None:
+    def report(self, findings: Iterable[Finding], metric: bool, joined: str | None = None) -> None:
         """Say what the first look found.
 
         Args:
             findings: What it found.
             metric: Whether depth or points are asked for.
+            joined: Source whose pictures should have both views each; None if it is none.
 
         Raises:
-            InputError: If they are, the views cannot give right ones, and ``--force`` is not given.
+            InputError: If ``--force`` is not given, and metric outputs are asked for of views that
+                cannot give right ones; or ``joined`` shows no two views.
         """
         from mobilestereonet.inference.first_look import problems
 
@@ -74,6 +76,13 @@ class ViewFlags:
             if finding.level not in ("good", "unknown"):
                 print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
         wrong = problems(findings)
+        alone = joined is not None and self.layout is None and not self.force
+        if alone and any(finding.check == "overlap" for finding in wrong):
+            raise InputError(
+                f"{joined}: the halves of its picture show no common scene: give the right view's, "
+                "too, if this is the left one's; if it has both views, --layout side-by-side or "
+                "top-bottom"
+            )
         if metric and wrong and not self.force:
             raise InputError(
                 f"no depth and no points of such views ({wrong[0].check}): put them right, or say "

@@ -1,28 +1,29 @@
-"""Writing of results to a bag of ROS 1 or ROS 2."""
+"""Writing of results, or of rectified pairs, to a bag of ROS 1 or ROS 2."""
 
 from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
-from mobilestereonet.atomic import GrowingFile, check_outputs
+from mobilestereonet.data.images import Array
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference import StereoResult
-from mobilestereonet.streams.ros_output import RESULT_TOPICS, ResultMessages
+from mobilestereonet.streams.bag_writer import BagWriter
+from mobilestereonet.streams.bags import BagPair
+from mobilestereonet.streams.ros_output import (
+    RESULT_TOPICS,
+    ResultMessages,
+    camera_info,
+    image_message,
+)
 from mobilestereonet.streams.stream import StereoFrame
-
-BAG_ENDINGS = (".mcap", ".bag")
-"""Bags that can be written: of ROS 2 and of ROS 1."""
 
 FRAME_ID = "left_camera_optical_frame"
 """Coordinate frame of results whose source has none: x to the right, y down, z forward."""
 
 
-class BagFile:
+class BagFile(BagWriter):
     """Writer of a ROS bag of stereo results, a context manager; the file appears when complete.
 
     Each result gives ``disparity`` (stereo_msgs/DisparityImage) and, with a calibration, ``depth``
@@ -50,19 +51,10 @@ class BagFile:
         topics: Sequence[str] = (),
         max_depth: float = float("inf"),
     ) -> None:
-        self.path = Path(path)
-        if self.path.suffix.lower() not in BAG_ENDINGS:
-            raise InputError(f"{path}: bags are written as {' or '.join(BAG_ENDINGS)}")
-        check_outputs(self.path)
-        with needs_extra("bags"):
-            from rosbags.typesys import Stores, get_typestore
-        self._of_ros1 = self.path.suffix.lower() == ".bag"
-        self._types = get_typestore(Stores.ROS1_NOETIC if self._of_ros1 else Stores.ROS2_HUMBLE)
-        self._messages = ResultMessages(self._make, max_disparity, max_depth)
+        super().__init__(path)
+        self._messages = ResultMessages(self.make, max_disparity, max_depth)
         common = posixpath.commonpath(topics) if topics else ""
         self.namespace = common if common.strip("/") else "/stereo"
-        self._writer: Any = None
-        self._connections: dict[str, Any] = {}
 
     def write(
         self, frame: StereoFrame, result: StereoResult, calibration: Calibration | None
@@ -74,56 +66,54 @@ class BagFile:
             OSError: If the file cannot be written.
         """
         stamp = round(frame.seconds * 1e9) if frame.stamp is None else frame.stamp
-        time = self._make("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
-        sequence = {"seq": frame.index} if self._of_ros1 else {}
-        header = self._make(
-            "std_msgs/msg/Header", stamp=time, frame_id=frame.frame_id or FRAME_ID, **sequence
-        )
-        messages = self._messages.all(header, result, calibration)
-        if self._writer is None:
-            self._open()
-        serialise = self._types.serialize_ros1 if self._of_ros1 else self._types.serialize_cdr
-        for name, message in messages.items():
-            kind = RESULT_TOPICS[name]
-            if name not in self._connections:
-                self._connections[name] = self._writer.add_connection(
-                    posixpath.join(self.namespace, name), kind, typestore=self._types
-                )
-            self._writer.write(self._connections[name], stamp, serialise(message, kind))
+        header = self.header(stamp, frame.frame_id or FRAME_ID, frame.index)
+        for name, message in self._messages.all(header, result, calibration).items():
+            topic = posixpath.join(self.namespace, name)
+            self.send(topic, RESULT_TOPICS[name], stamp, message)
 
-    def __enter__(self) -> BagFile:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._writer is None:
-            return
-        with self._growing:
-            self._writer.__exit__(kind, error, trace)
-            if kind is None:
-                self._growing.appear(self._written)
+class RectifiedBag(BagWriter):
+    """Writer of a ROS bag of rectified pairs, a context manager; the file appears when complete.
 
-    def _open(self) -> None:
-        from rosbags import rosbag1, rosbag2
+    Of each camera it has ``image_rect`` (sensor_msgs/Image with the source's bits) and
+    ``camera_info``, in the namespace of its source, with the source's stamps and frames.
 
-        self._growing = GrowingFile(self.path)
-        path = self._growing.folder / self.path.name
-        if self._of_ros1:
-            self._written = path
-            self._writer = rosbag1.Writer(path)
-        else:  # a folder with the file and its metadata, which the file holds, too
-            self._written = path.with_suffix("") / f"{path.stem}.mcap"
-            mcap = rosbag2.StoragePlugin.MCAP
-            self._writer = rosbag2.Writer(path.with_suffix(""), version=9, storage_plugin=mcap)
-        self._writer.open()
+    Args:
+        path: The file to write, ``.mcap`` (ROS 2) or ``.bag`` (ROS 1).
+        topics: The source's topics of the left and the right view.
 
-    def _make(self, kind: str, /, **fields: Any) -> Any:
-        """A message of rosbags; see `MessageMaker`."""
-        message = self._types.types[kind]
-        if kind.endswith("DisparityImage") and self._of_ros1:
-            fields["T"] = fields.pop("t")
-        return message(**fields)
+    Raises:
+        InputError: As `BagWriter`.
+    """
+
+    def __init__(self, path: str | Path, topics: Sequence[str]) -> None:
+        super().__init__(path)
+        parents = [posixpath.dirname(topic.removesuffix("/compressed")) for topic in topics]
+        #: Namespaces of the cameras; where the images share one, each topic is one.
+        self.namespaces = parents if parents[0] != parents[1] else list(topics)
+
+    def write(self, pair: BagPair, views: Sequence[Array], calibration: Calibration) -> None:
+        """Write a rectified pair.
+
+        Args:
+            pair: The pair that it was.
+            views: Its rectified views, (H, W) or (H, W, 3) RGB, uint8 or uint16.
+            calibration: Its geometry.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        height, width = views[0].shape[:2]
+        for right, view in enumerate(views):
+            stamp = pair.stamps[right]
+            assert stamp is not None  # a pair with pictures has both
+            header = self.header(stamp, pair.frame_ids[right], pair.index)
+            messages = {
+                "camera_info": camera_info(
+                    self.make, header, calibration, (width, height), right=bool(right)
+                ),
+                "image_rect": image_message(self.make, header, view),
+            }
+            for name, message in messages.items():
+                topic = posixpath.join(self.namespaces[right], name)
+                self.send(topic, message.__msgtype__, stamp, message)

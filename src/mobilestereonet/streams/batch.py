@@ -63,7 +63,8 @@ def match_pairs(
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    frames: Iterable[StereoFrame] = prefetch(prepared(read_pairs(pairs), rectifier, arrangement))
+    read = read_pairs(pairs, top_bottom=arrangement.top_bottom)
+    frames: Iterable[StereoFrame] = prefetch(prepared(read, rectifier, arrangement))
     if files.needs_calibration:
         frames = _check_calibrations(frames)
     for frame, result in prefetch(match_frames(frames, matcher)):

@@ -12,20 +12,25 @@ from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams.laser import Pose
-from mobilestereonet.streams.pairs import PairFiles, pair_folders
+from mobilestereonet.streams.pairs import IMAGE_ENDINGS, PairFiles, joined_files, pair_folders
 
+_NO_PAIRS = (
+    "no sequences/*/image_2 or image_0 in it, as KITTI's odometry and SemanticKITTI have, nor "
+    "data_2d_raw/*/image_00/data_rect, as KITTI-360 has"
+)
 _KITTI_360 = "data_2d_raw/*/image_{}/data_rect/*.png"
 
 
 def find_pairs(
     left: str | Path, right: str | Path | None = None, pair_by: str | None = None
 ) -> list[PairFiles]:
-    """Find the pairs of two folders, or of a driving data set.
+    """Find the pairs of two folders, of a driving data set, or of files with both views each.
 
     Args:
         left: Folder of left views, or a pattern such as ``run/cam0/*.png``. Without ``right``, the
             folder of KITTI's odometry or SemanticKITTI, which holds ``sequences/00/image_2`` and
-            so on, or that of KITTI-360, which holds ``data_2d_raw`` and ``calibration``.
+            so on, or that of KITTI-360, which holds ``data_2d_raw`` and ``calibration``; or a
+            folder or a pattern of pictures with both views side by side, or MPO files.
         right: Folder of right views whose files have the same names, or a pattern whose wildcards
             stand for the same as in ``left``.
         pair_by: How two folders are paired, see `pair_folders`.
@@ -43,18 +48,21 @@ def find_pairs(
     root = Path(left)
     if any(root.glob(_KITTI_360.format("00"))):
         return _kitti_360(root)
-    return _kitti_odometry(root)
+    if (root / "sequences").is_dir():
+        return _kitti_odometry(root)
+    if root.is_dir() and not any(file.suffix.lower() in IMAGE_ENDINGS for file in root.iterdir()):
+        raise InputError(
+            f"{root}: {_NO_PAIRS}; give two folders or patterns, the left views and the right "
+            "ones, or a folder of pictures that have both"
+        )
+    return joined_files(left)
 
 
 def _kitti_odometry(root: Path) -> list[PairFiles]:
     sequences = root / "sequences"
     cameras = next((c for c in ((2, 3), (0, 1)) if any(sequences.glob(f"*/image_{c[0]}"))), None)
     if cameras is None:
-        raise InputError(
-            f"{root}: no sequences/*/image_2 or image_0 in it, as KITTI's odometry and "
-            "SemanticKITTI have, nor data_2d_raw/*/image_00/data_rect, as KITTI-360 has; give two "
-            "folders or patterns, the left views and the right ones"
-        )
+        raise InputError(f"{root}: {_NO_PAIRS}")
     left, right = (f"{sequences}/*/image_{camera}/*.png" for camera in cameras)
     known = {
         file.parent.name: (read_calibration(file, cameras), _odometry_pose(file, cameras[0]))

@@ -70,7 +70,9 @@ def look_at_pairs(
     Raises:
         InputError: If the pairs are rectified already.
     """
-    seen, stream = _look(Stream(read_pairs(pairs), None), options, rectifier, shift)
+    top_bottom = options is not None and options.layout == "top-bottom"
+    read = Stream(read_pairs(pairs, top_bottom=top_bottom), None)
+    seen, stream = _look(read, options, rectifier, shift)
     stream.frames.close()
     return seen.findings, seen.arrangement
 

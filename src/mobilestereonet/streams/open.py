@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+
 from mobilestereonet.errors import InputError
 from mobilestereonet.streams.bags import TOLERANCE_S, is_bag, open_bag
 from mobilestereonet.streams.captures import is_capture, open_captures
 from mobilestereonet.streams.devices import is_device, open_device
-from mobilestereonet.streams.pairs import pair_folders, read_pairs
+from mobilestereonet.streams.pairs import (
+    IMAGE_ENDINGS,
+    joined_files,
+    pair_folders,
+    read_pairs,
+)
 from mobilestereonet.streams.stream import Stream
 from mobilestereonet.streams.video_files import open_videos
 
@@ -23,12 +30,14 @@ def open_stream(
     tolerance: float = TOLERANCE_S,
     pair_by: str | None = None,
     rectify: bool = True,
+    top_bottom: bool = False,
 ) -> Stream:
     """Open a video, a camera, a bag or an image sequence.
 
     Args:
         left: A video file; the number of a camera, its device or an address; or, for an image
-            sequence, a folder or a pattern. Without ``right`` it shows both views side by side.
+            sequence, a folder or a pattern. Without ``right`` it shows both views side by side,
+            or has MPO files.
             Or a bag, which has both views as topics; or ``realsense:``, ``oak:`` or ``zed:``, see
             `open_device`.
         right: The same of the right view.
@@ -38,6 +47,7 @@ def open_stream(
         tolerance: Largest difference between the stamps of a pair of a bag, in s.
         pair_by: How an image sequence is paired, see `find_pairs`.
         rectify: Whether raw pictures of a bag are rectified by its camera_info, see `open_bag`.
+        top_bottom: Pictures of a sequence without ``right`` have one view above the other.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
@@ -54,17 +64,26 @@ def open_stream(
         return open_device(left)
     if left_topic is not None or right_topic is not None:
         raise InputError(f"{left}: topics are those of a bag (.mcap, .bag, .db3), not of this")
+    for source in filter(is_still, sources):
+        raise InputError(
+            f"{source}: a picture, not a video: `msnet predict` matches one pair, `msnet batch` "
+            "folders or patterns of pictures, which are a sequence here, too"
+        )
     for kind, is_kind in (("captures", is_capture), ("video files", _is_file)):
         if any(map(is_kind, sources)):
             if not all(map(is_kind, sources)):
                 raise InputError(f"{left} and {right}: only one of them is among {kind}")
             return open_captures(sources) if kind == "captures" else open_videos(sources)
-    if right is None:
-        if not Path(left).exists():
-            raise FileNotFoundError(f"{left}: no such video")
-        raise InputError(f"{left}: an image sequence needs two folders or patterns, left and right")
-    pairs = pair_folders(left, right, pair_by)
-    return Stream(read_pairs(pairs, fps), len(pairs))
+    pairs = joined_files(left) if right is None else pair_folders(left, right, pair_by)
+    return Stream(read_pairs(pairs, fps, top_bottom=top_bottom), len(pairs))
+
+
+def is_still(source: str) -> bool:
+    """Whether a source is the file of one picture (a GIF may be a video)."""
+    path = Path(source)
+    if not path.is_file() or path.suffix.lower() == ".gif":
+        return False
+    return path.suffix.lower() in IMAGE_ENDINGS or cv2.haveImageReader(source)
 
 
 def _is_file(source: str) -> bool:

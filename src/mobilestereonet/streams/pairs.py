@@ -20,7 +20,12 @@ from mobilestereonet.streams.laser import Pose
 from mobilestereonet.streams.pairing import pair_by_time, tolerance_of
 from mobilestereonet.streams.stream import StereoFrame
 
-_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
+IMAGE_ENDINGS = {
+    *(".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"),
+    *(".mpo", ".jps", ".pns"),  # with both views
+}
+"""Endings of image files in folders."""
+
 _WILDCARD = re.compile(r"[*?[]")
 _STAMP = re.compile(r"\d{9,}(\.\d+)?|\d{9,10}[_-]\d{9}")
 """A name that is a time stamp: seconds, or a smaller unit, since 1970; or both, as ROS has it."""
@@ -35,16 +40,21 @@ class PairFiles:
     Attributes:
         name: What to call the pair in reports and file names; may hold slashes.
         left: File of the left view.
-        right: File of the right view.
+        right: File of the right view; None if the left one has both, see `load_pair`.
         calibration: Its geometry, if the folders tell it.
         to_laser: From the left camera's frame to the laser scanner's, if the folders tell it.
     """
 
     name: str
     left: Path
-    right: Path
+    right: Path | None
     calibration: Calibration | None = None
     to_laser: Pose | None = field(default=None, compare=False)
+
+    @property
+    def files(self) -> list[Path]:
+        """One file or two."""
+        return [self.left] if self.right is None else [self.left, self.right]
 
 
 def pair_folders(
@@ -84,17 +94,38 @@ def pair_folders(
             f"{len(frames)} left views, but {len(frames) + len(alone)} right ones: "
             f"{min(alone)} has no left view"
         )
-    named: dict[str, Frame] = {}
-    for frame in frames:
-        other = named.setdefault(frame.name, frame)
-        if other is not frame:
+    return _named(PairFiles(frame.name, frame.left, frame.right) for frame in frames)
+
+
+def joined_files(source: str | Path) -> list[PairFiles]:
+    """Find the files of a folder or a pattern that have both views each, in order of their names.
+
+    Args:
+        source: Folder or pattern of MPO files, or of pictures with both views side by side.
+
+    Raises:
+        FileNotFoundError: If there is no such folder, or the pattern stands for nothing.
+        InputError: If two have one name, or the folder does not tell which images are meant.
+    """
+    folder, pattern = _pattern(source)
+    files = list(visible(folder, pattern))
+    if not files:
+        raise FileNotFoundError(f"{source}: no such file, folder or pattern")
+    names = (file.relative_to(folder).with_suffix("").as_posix() for file in files)
+    return _named(PairFiles(name, file, None) for name, file in zip(names, files, strict=True))
+
+
+def _named(pairs: Iterable[PairFiles]) -> list[PairFiles]:
+    """Pairs in the order of their names, which must differ."""
+    named: dict[str, PairFiles] = {}
+    for pair in pairs:
+        other = named.setdefault(pair.name, pair)
+        if other is not pair:
             raise InputError(
-                f"{other.left} and {frame.left} would both be called {frame.name}, and so would "
+                f"{other.left} and {pair.left} would both be called {pair.name}, and so would "
                 "their maps: give a pattern that holds one of them, such as '*.png'"
             )
-    return [
-        PairFiles(name, named[name].left, named[name].right) for name in sorted(named, key=_natural)
-    ]
+    return [named[name] for name in sorted(named, key=_natural)]
 
 
 def _by_order(lefts: Sequence[Path], rights: Sequence[Path]) -> list[PairFiles]:
@@ -167,7 +198,7 @@ def _pattern(source: str | Path) -> tuple[Path, str]:
         if not _WILDCARD.search(pattern):
             raise FileNotFoundError(f"{source}: no such file, folder or pattern")
         return folder, pattern
-    endings = {file.suffix for file in visible(path, "*") if file.suffix.lower() in _IMAGES}
+    endings = {file.suffix for file in visible(path, "*") if file.suffix.lower() in IMAGE_ENDINGS}
     if len(endings) != 1:
         found = f"images that end in {' and '.join(sorted(endings))}" if endings else "no image"
         raise InputError(f"{source}: {found}; give a pattern such as '{source}/*.png'")
@@ -180,17 +211,20 @@ def _natural(name: str) -> list[tuple[int, str]]:
     ]
 
 
-def read_pairs(pairs: Iterable[PairFiles], fps: float = 1.0) -> Generator[StereoFrame]:
+def read_pairs(
+    pairs: Iterable[PairFiles], fps: float = 1.0, *, top_bottom: bool = False
+) -> Generator[StereoFrame]:
     """Read pairs one after the other; what cannot be read becomes a frame with a problem.
 
     Args:
         pairs: Their files.
         fps: Pairs per second of the stream.
+        top_bottom: Files that have both views have the left one above the right one.
     """
     for index, files in enumerate(pairs):
         pair, problem = None, ""
         try:
-            pair = load_pair(files.left, files.right)
+            pair = load_pair(files.left, files.right, top_bottom=top_bottom)
         except (InputError, OSError) as error:
             problem = str(error)
         yield StereoFrame(

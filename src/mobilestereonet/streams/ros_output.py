@@ -67,6 +67,88 @@ def message_maker(pack: Callable[[bytes], Any] = bytes) -> MessageMaker:
     return make
 
 
+_ENCODINGS = {
+    (2, np.dtype(np.uint8)): "mono8",
+    (2, np.dtype(np.uint16)): "mono16",
+    (3, np.dtype(np.uint8)): "rgb8",
+    (3, np.dtype(np.uint16)): "rgb16",
+    (2, np.dtype(np.float32)): "32FC1",
+}
+"""Encodings of sensor_msgs by the dimensions and the dtype of an array."""
+
+
+def image_message(make: MessageMaker, header: Any, values: Image) -> Any:
+    """A ``sensor_msgs/Image`` of an array, little-endian.
+
+    Args:
+        make: Makes one message.
+        header: A ``std_msgs/Header``.
+        values: (H, W) uint8, uint16 or float32, or (H, W, 3) RGB, uint8 or uint16.
+    """
+    height, width = values.shape[:2]
+    data = np.frombuffer(values.astype(values.dtype.newbyteorder("<")).tobytes(), np.uint8)
+    return make(
+        "sensor_msgs/msg/Image",
+        header=header,
+        height=height,
+        width=width,
+        encoding=_ENCODINGS[values.ndim, values.dtype],
+        is_bigendian=0,
+        step=values.nbytes // height,
+        data=data,
+    )
+
+
+def camera_info(
+    make: MessageMaker,
+    header: Any,
+    calibration: Calibration,
+    size: tuple[int, int],
+    *,
+    right: bool,
+) -> Any:
+    """A ``sensor_msgs/CameraInfo`` of a rectified view.
+
+    Args:
+        make: Makes one message.
+        header: A ``std_msgs/Header``.
+        calibration: Geometry of the rectified pair.
+        size: Width and height of the views, in px.
+        right: Whether it is the right view's, whose projection has the baseline.
+    """
+    focal, focal_y = calibration.focal_lengths
+    column, row = calibration.principal_point(*size)
+    column += calibration.doffs if right else 0.0
+    camera = np.array([[focal, 0, column], [0, focal_y, row], [0, 0, 1]], np.float64)
+    offset = np.array([-focal * calibration.baseline if right else 0.0, 0, 0])
+    return make(
+        "sensor_msgs/msg/CameraInfo",
+        header=header,
+        height=size[1],
+        width=size[0],
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=camera.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.column_stack((camera, offset)).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=_window(make, 0, 0),  # all of the picture
+    )
+
+
+def _window(make: MessageMaker, width: int, height: int) -> Any:
+    """A ``sensor_msgs/RegionOfInterest`` that begins in the upper left corner."""
+    return make(
+        "sensor_msgs/msg/RegionOfInterest",
+        x_offset=0,
+        y_offset=0,
+        height=height,
+        width=width,
+        do_rectify=False,
+    )
+
+
 @dataclass(frozen=True)
 class ResultMessages:
     """Makes the messages of results.
@@ -100,23 +182,8 @@ class ResultMessages:
             messages["points2"] = self.points(header, result, calibration)
         if result.confidence is not None:
             grey = np.rint(255 * result.confidence).astype(np.uint8)
-            messages["confidence"] = self.image(header, "mono8", grey)
+            messages["confidence"] = image_message(self.make, header, grey)
         return messages
-
-    def image(self, header: Any, encoding: str, values: Image) -> Any:
-        """A ``sensor_msgs/Image`` of an array (H, W), little-endian."""
-        height, width = values.shape
-        data = np.frombuffer(values.astype(values.dtype.newbyteorder("<")).tobytes(), np.uint8)
-        return self.make(
-            "sensor_msgs/msg/Image",
-            header=header,
-            height=height,
-            width=width,
-            encoding=encoding,
-            is_bigendian=0,
-            step=width * values.itemsize,
-            data=data,
-        )
 
     def disparity(self, header: Any, result: StereoResult, calibration: Calibration | None) -> Any:
         """A ``stereo_msgs/DisparityImage``, for which depth is ``f * T / disparity``.
@@ -133,18 +200,11 @@ class ResultMessages:
         shifted = result.disparity + np.float32(doffs)
         known = result.valid & (shifted >= lowest)
         values = np.where(known, shifted, np.float32(lowest - 1)).astype(np.float32)
-        window = self.make(
-            "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=height,
-            width=width,
-            do_rectify=False,
-        )
+        window = _window(self.make, width, height)
         return self.make(
             "stereo_msgs/msg/DisparityImage",
             header=header,
-            image=self.image(header, "32FC1", values),
+            image=image_message(self.make, header, values),
             f=0.0 if calibration is None else calibration.focal,
             t=0.0 if calibration is None else calibration.baseline,
             valid_window=window,
@@ -156,7 +216,8 @@ class ResultMessages:
     def depth(self, header: Any, result: StereoResult, calibration: Calibration) -> Any:
         """Depth as REP 118 has it: 32FC1 in metres, NaN where it is not known."""
         depth = result.depth(calibration)
-        return self.image(header, "32FC1", np.where(depth > 0, depth, np.float32(np.nan)))
+        values = np.where(depth > 0, depth, np.float32(np.nan))
+        return image_message(self.make, header, values)
 
     def points(self, header: Any, result: StereoResult, calibration: Calibration) -> Any:
         """A ``sensor_msgs/PointCloud2`` with x, y, z and rgb, without points at depth edges."""
