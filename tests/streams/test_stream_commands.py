@@ -235,7 +235,8 @@ def test_a_folder_of_pictures_with_both_views(msnet, stills, tmp_path, command):
 @pytest.mark.parametrize("command", ["batch", "video"])
 def test_left_views_alone_are_not_taken_for_pairs(msnet, tmp_path, command):
     noise = np.random.default_rng(0).integers(0, 256, (200, 640, 3), dtype=np.uint8)
-    assert cv2.imwrite(str(tmp_path / "0.png"), cv2.GaussianBlur(noise, (0, 0), 2))
+    scene = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 0, 255, cv2.NORM_MINMAX)
+    assert cv2.imwrite(str(tmp_path / "0.png"), scene)
     maps = tmp_path / "maps"
     place = ("-o" if command == "batch" else "--frames", maps)
     code, _, err = msnet(command, tmp_path, *place)
