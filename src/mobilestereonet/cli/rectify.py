@@ -201,8 +201,8 @@ def _pairs(left: str, right: str | None) -> Iterator[_Raw]:
                 yield _Raw(pair.name, None, str(error))
     else:
         for frame in open_stream(left, right).frames:
-            pair = frame.pair
-            views = None if pair is None else (pair.left_image, pair.right_image)
+            seen = frame.pair
+            views = None if seen is None else (seen.left_image, seen.right_image)
             yield _Raw(frame.name, views, frame.problem)
 
 
