@@ -70,6 +70,34 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
     return options
 
 
+def parse_variations(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Read values to compare, such as ``lr=1e-3,5e-4`` or ``model=msnet2d,msnet3d``.
+
+    Args:
+        texts: Texts as given to ``--vary``. What stands after the name is a list of JSON without
+            its brackets, or texts between commas.
+
+    Returns:
+        The values by name.
+
+    Raises:
+        InputError: If there is no "=", no value, or a name comes twice.
+    """
+    found: dict[str, list[Any]] = {}
+    for text in texts:
+        name, equals, values = text.partition("=")
+        if not equals or not values:
+            raise InputError(f"{shorten(text)!r}: write it as name=value,value")
+        if name in found:
+            raise InputError(f"{name} is varied twice: give all its values at once")
+        if _is_json(f"[{values}]"):
+            found[name] = parse_json(f"[{values}]", shorten(text))
+        else:
+            parts = [f"{name}={value}" for value in values.split(",")]
+            found[name] = [parse_assignments([part])[name] for part in parts]
+    return found
+
+
 def _is_json(text: str) -> bool:
     try:
         json.loads(text)

@@ -16,7 +16,7 @@ from mobilestereonet.data.depth_files import DEPTH_FORMATS
 from mobilestereonet.data.rig import told as rig_told
 from mobilestereonet.engines import choose
 from mobilestereonet.errors import InputError
-from mobilestereonet.evaluation import BENCHMARKS
+from mobilestereonet.evaluation import BENCHMARKS, comparison, result_table
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference.geometry import POINT_FORMATS
 from mobilestereonet.nets import list_models, model_config
@@ -80,16 +80,22 @@ MISTAKES = {
     "cost": ("--model msnet4d", "--set planes=3", "--plot out.png", "--paper --height 3"),
     "evaluate --data folder --root .": (
         *(*MATCHER[:-1], "--set left", "--batch-size 0", "--root absent"),
+        *("-o table.xls", "--format latx", "--statistic mode"),
         "--model msnet2d --model msnet3d --weights left.png",
     ),
     "evaluate --data kitty2015 --root .": ("",),
+    "compare left.png msnet4d --data folder --root .": ("",),
+    "compare msnet2d --data folder --root .": ("--root absent", "--device cuda:x", "-o t.xls"),
     "submit kitti2015 --root . -o out.zip": (*MATCHER, "--size T", "--root absent"),
     "submit kitty2015 --root . -o out.zip": ("",),
     "train run": (
         *(*TRAINING, "--model msnet4d", "--model my_net.py:MyNet", "--weights absent.ckpt"),
         *("--max-time 3h", "--devices 0", "--num-nodes 0", "--set net.colour=red"),
     ),
-    "ablate runs": (*TRAINING, "--table 4", "--models msnet2d,msnet4d", "--steps 0"),
+    "ablate runs": (
+        *(*TRAINING, "--table 4", "--models msnet2d,msnet4d", "--steps 0", "--seeds 0"),
+        *("--vary lr", "--vary colour=1,2", "--vary net.colour=1,2"),
+    ),
     "average left.ckpt -o out.safetensors": ("",),
     "average msnet2d": ("-o out.ckpt", "-o out.safetensors --model msnet4d"),
     "plot-run absent": ("",),
@@ -173,6 +179,8 @@ def test_the_names_are_those_of_the_rooms():
         *early.BENCHMARK_SIZES
     }
     assert set(early.TABLES) == set(ablate.TABLES)
+    assert dict(zip(early.TABLE_ENDINGS, early.TABLE_FORMATS, strict=True)) == result_table.ENDINGS
+    assert set(early.STATISTICS) == set(comparison.STATISTICS)
     assert set(early.MAP_KINDS) == set(maps.MAP_KINDS)
     assert tuple(rig_told.UNITS) == early.UNITS
     assert early.DEPTH_ENDINGS == DEPTH_FORMATS

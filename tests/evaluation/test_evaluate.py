@@ -11,6 +11,8 @@ from rich.console import Console
 
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.evaluate import evaluate as run_command
+from mobilestereonet.cli.scoring import ScoringOptions
+from mobilestereonet.cli.table_options import TableOptions
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import Calibration, StereoSample
@@ -260,7 +262,15 @@ def kitti(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:kitti2015")
 def command(data, root, model=None, weights=None, **values):
-    run_command(data, root, options=MatcherOptions(weights=weights), model=model, **values)
+    names = {field.name for field in dataclasses.fields(ScoringOptions)}
+    scoring = {name: values.pop(name) for name in list(values) if name in names}
+    run_command(
+        ScoringOptions(data=data, root=root, **scoring),
+        options=MatcherOptions(weights=weights),
+        model=model,
+        tables=TableOptions(),
+        **values,
+    )
 
 
 def test_command(kitti, tmp_path, capsys):
@@ -281,7 +291,7 @@ def test_command(kitti, tmp_path, capsys):
 def test_the_legend_comes_once_at_the_end(kitti, capsys):
     command("kitti2015", kitti, ["sgbm", "sgbm"])
     text = " ".join(capsys.readouterr().out.split())
-    assert text.count("sgbm on kitti2015") == 2
+    assert text.count("sgbm on kitti2015") == 2 and "sgbm (2)" in text
     for words in ("fg (foreground)", "bg (background)", "bad-t: share", "Skipped: images"):
         assert text.count(words) == 1
     assert text.rindex("bad-3") < text.index("fg (foreground)")

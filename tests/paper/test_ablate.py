@@ -11,7 +11,7 @@ from mobilestereonet.data import write_png
 from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.errors import InputError
 from mobilestereonet.paper import ablate as module
-from mobilestereonet.paper.ablate import ablate, ablation_table, table_models
+from mobilestereonet.paper.ablate import ablate, ablation_table, table_models, variants
 from mobilestereonet.scenes import SceneConfig
 from mobilestereonet.training.data import RunData
 from mobilestereonet.training.named_recipes import get_recipe
@@ -56,10 +56,10 @@ def test_two_networks(tmp_path, monkeypatch):
     write_png(tmp_path / "photographs" / "0.png", np.full((32, 32, 3), 200, np.uint8))
     monkeypatch.chdir(tmp_path)
     relative = replace(RECIPE, textures="photographs")
-    first = next(ablate(MODELS, relative, tmp_path, **options))
+    first = next(ablate(variants(relative, MODELS), tmp_path, **options))
     (tmp_path / "photographs").rename(tmp_path / "moved")
     recipe = replace(RECIPE, textures="moved")
-    rows = list(ablate(MODELS, recipe, tmp_path, **options))
+    rows = list(ablate(variants(recipe, MODELS), tmp_path, **options))
     assert trained == [(MODELS[0], False), (MODELS[1], False)]
     assert [row.model for row in rows] == MODELS and rows[0] == first
 
@@ -86,12 +86,12 @@ def test_two_networks(tmp_path, monkeypatch):
 
     # What was scored is not trained again, what was started is resumed.
     (tmp_path / MODELS[1] / "score.json").unlink()
-    assert list(ablate(MODELS, recipe, tmp_path, **options)) == rows
+    assert list(ablate(variants(recipe, MODELS), tmp_path, **options)) == rows
     assert trained[2:] == [(MODELS[1], True)]
     with pytest.raises(InputError, match=r"under another recipe \(lr 0.001 -> 1.0\)"):
-        next(ablate(MODELS, replace(recipe, lr=1.0), tmp_path, **options))
+        next(ablate(variants(replace(recipe, lr=1.0), MODELS), tmp_path, **options))
     with pytest.raises(InputError, match=r"\(textures .*photographs -> None\)"):
-        next(ablate(MODELS, RECIPE, tmp_path, **options))
+        next(ablate(variants(RECIPE, MODELS), tmp_path, **options))
 
 
 def test_scenes_rendered_on_a_gpu_are_scored_on_the_cpu(tmp_path):
@@ -137,17 +137,76 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     record = json.loads((tmp_path / "ablation.json").read_text())
     figures = record["rows"][0]["figures"]
     assert f"table2-correlation: EPE {figures['EPE']:.3f} px (1 of 1 done)" in out
-    line = next(line for line in out.splitlines() if "│ table2-correlation" in line)
-    cells = [cell.strip() for cell in line.strip("│").split("│")]
+    line = next(line for line in out.splitlines() if line.startswith(" table2-correlation"))
+    cells = line.split()
     # The paper's Table 2: EPE 1.71, D1 6.80, px-3 7.84.
     assert cells[2::2] == ["1.71", "6.80", "7.84"]
-    assert cells[1::2] == [f"{figures[name]:.2f}" for name in ("EPE", "D1", "px-3")]
-    assert record["recipe"] == json.loads(
-        override(get_recipe("procedural"), {**values, "steps": 1}).to_json()
+    assert cells[1] == f"{figures['EPE']:.3f}"
+    assert cells[3::2] == [f"{figures[name]:.2f}" for name in ("D1", "px-3")]
+    expected = override(
+        get_recipe("procedural"), {**values, "steps": 1, "model": "table2-correlation"}
     )
+    assert record["recipe"] == json.loads(expected.to_json())
 
 
 def test_a_network_that_is_in_no_table():
-    rows = [module.AblationRow("msnet2d", 3, {"EPE": 1.0, "D1": 2.0, "px-3": 3.0})]
+    rows = [module.AblationRow("msnet9d", 3, {"EPE": 1.0, "D1": 2.0, "px-3": 3.0})]
     table = ablation_table(rows, RECIPE)
-    assert table.row_count == 1 and [list(c.cells) for c in table.columns][2] == [""]
+    assert [column.heading for column in table.columns] == [
+        "model",
+        "EPE (px)",
+        "D1 (%)",
+        "px-3 (%)",
+    ]
+    assert "one seed" in table.notes
+
+
+def test_variants_are_all_combinations():
+    found = variants(
+        RECIPE,
+        ["msnet2d"],
+        {"lr": [1e-3, 5e-4], "net.cost_volume": ["correlation", "concatenation"]},
+        seeds=2,
+    )
+    assert len(found) == 8
+    assert found[3].label == "msnet2d, lr=0.001, net.cost_volume=concatenation"
+    assert found[3].folder == "msnet2d,lr=0.001,net.cost_volume=concatenation.seed1"
+    assert found[3].recipe.net == {"max_disparity": 32, "cost_volume": "concatenation"}
+    assert [variant.recipe.seed for variant in found] == [0, 1] * 4
+    assert [v.label for v in variants(RECIPE, ["msnet2d"], {"model": ["msnet3d"]})] == ["msnet3d"]
+    for vary, words in (
+        ({"lr": ["fast"]}, "lr must be a number, got 'fast'"),
+        ({"net.cost_volume": ["correlated"]}, "cost_volume"),
+        ({"colour": [1]}, "no value 'colour'"),
+        ({"lr": [1, 1.0]}, "comes twice"),
+    ):
+        with pytest.raises(InputError, match=words):
+            variants(RECIPE, ["msnet2d"], vary)
+
+
+def test_seeds_are_one_row_and_scores_of_older_versions_load(tmp_path):
+    runs = variants(RECIPE, ["msnet2d"], seeds=2)
+    for variant, epe in zip(runs, (1.0, 2.0), strict=True):
+        folder = tmp_path / variant.folder
+        folder.mkdir()
+        figures = {"EPE": epe, "D1": 2.0, "px-3": 3.0}
+        score = {"model": "msnet2d", "pairs": 2, "figures": figures}
+        (folder / "score.json").write_text(json.dumps(score))
+    rows = list(ablate(runs, tmp_path))
+    assert [(row.label, row.seed) for row in rows] == [("msnet2d", 0), ("msnet2d", 1)]
+    text = ablation_table(rows, RECIPE).render("markdown")
+    assert "1.500 ± 0.707" in text and "one seed" not in text
+    assert "1.14" in text  # of the paper's Table 4a
+
+
+def test_values_from_the_command_line(tmp_path, msnet):
+    score = {"model": "msnet2d", "pairs": 2, "figures": {"EPE": 1, "D1": 2, "px-3": 3}}
+    for folder in ("msnet2d,lr=0.001", "msnet2d,lr=0.0005"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "score.json").write_text(json.dumps(score))
+    arguments = ("ablate", tmp_path, "--vary", "lr=1e-3,5e-4", "--format", "csv")
+    code, out, err = msnet(*arguments, "-o", tmp_path / "table.tex")
+    assert code == 0
+    assert out.splitlines()[1:] == ['"msnet2d, lr=0.001",1,2,3', '"msnet2d, lr=0.0005",1,2,3']
+    assert "2 of 2 done" in err and "figures: " in err
+    assert r"\toprule" in (tmp_path / "table.tex").read_text()

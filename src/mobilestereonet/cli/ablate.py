@@ -7,26 +7,50 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import TABLES, check_network, one_of, recipe_name
+from mobilestereonet.cli.early import (
+    TABLES,
+    check_network,
+    check_network_values,
+    one_of,
+    recipe_name,
+    recipe_value,
+)
 from mobilestereonet.cli.options import RECIPE_KINDS
+from mobilestereonet.cli.table_options import TableOptions
 from mobilestereonet.cli.training_options import RecipeOptions, TrainerOptions
+from mobilestereonet.settings import parse_variations
 
 
 def ablate(
     folder: Annotated[Path, typer.Argument(help="Folder of the runs, one folder each.")],
     table: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help=f"The paper's table: {', '.join(TABLES[:-1])} or {TABLES[-1]}.",
+            help=f"The paper's table: {', '.join(TABLES[:-1])} or {TABLES[-1]}. Default: 2, or the "
+            "recipe's network with --vary.",
             callback=one_of(TABLES),
         ),
-    ] = "2",
+    ] = None,
     models: Annotated[
         str | None,
         typer.Option(
             help="Networks instead of a table's, such as msnet2d,msnet3d.",
         ),
     ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Values of the recipe to compare, such as lr=1e-3,5e-4 or "
+            "net.cost_volume=correlation,concatenation. Repeat for all combinations.",
+            callback=recipe_value,
+        ),
+    ] = None,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            metavar="<n>", min=1, help="Runs of each: the recipe's seed and those after it."
+        ),
+    ] = 1,
     recipe: Annotated[str, typer.Option(help=RECIPE_KINDS, callback=recipe_name)] = "procedural",
     steps: Annotated[
         int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
@@ -34,30 +58,40 @@ def ablate(
     *,
     options: RecipeOptions,
     trainer: TrainerOptions,
+    tables: TableOptions,
 ) -> None:
-    """Train and score several networks, beside the paper's figures.
+    """Train and score networks or values of a recipe, beside the paper's figures.
 
     Start it again to go on where it stopped, such as by Ctrl-C.
     """
     chosen_names = [name.strip() for name in models.split(",")] if models else []
     for name in chosen_names:
         check_network("--models", name)
+    variations = parse_variations(vary or [])
+    values = options.values
+    if not recipe.endswith(".json"):  # whose network may be the user's own
+        given = [name[4:] for name in (*values, *variations) if name.startswith("net.")]
+        check_network_values(models, given)
 
-    from rich.console import Console
-
+    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.paper.ablate import ablate as run
-    from mobilestereonet.paper.ablate import ablation_table, table_models
+    from mobilestereonet.paper.ablate import ablation_table, table_models, variants
     from mobilestereonet.training.named_recipes import get_recipe
     from mobilestereonet.training.recipe import override
 
-    values = options.values
     if steps is not None:
         values |= {"steps": steps, "epochs": None, "duration": None}
     chosen = override(get_recipe(recipe), values)
-    names = list(dict.fromkeys(chosen_names or table_models(table)))
+    of_table = table_models(table or "2") if table or not vary else [chosen.model]
+    runs = variants(chosen, chosen_names or of_table, variations, seeds)
+    if tables.output is not None:
+        make_folder(tables.output.parent)
+        check_outputs(tables.output)
     rows = []
-    for row in run(names, chosen, folder, **vars(trainer)):
+    for row in run(runs, folder, **vars(trainer)):
         rows.append(row)
-        print(f"{row.model}: EPE {row.figures['EPE']:.3f} px ({len(rows)} of {len(names)} done)")
-    Console().print(ablation_table(rows, chosen))
-    print(f"figures: {folder / 'ablation.json'}")
+        which = f"{row.label}, seed {row.seed}" if seeds > 1 else row.label
+        told = f"{which}: EPE {row.figures['EPE']:.3f} px ({len(rows)} of {len(runs)} done)"
+        typer.echo(told, err=tables.format is not None)
+    tables.show(ablation_table(rows, chosen))
+    typer.echo(f"figures: {folder / 'ablation.json'}", err=tables.format is not None)

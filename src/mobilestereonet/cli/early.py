@@ -59,6 +59,13 @@ BENCHMARKS = ("kitti2015", "kitti2012", "middlebury", "eth3d")
 
 BENCHMARK_SIZES = ("Q", "H", "F")
 
+TABLE_FORMATS = ("markdown", "latex", "csv", "html")
+TABLE_ENDINGS = (".md", ".tex", ".csv", ".html")
+"""Tables that compare models."""
+
+STATISTICS = ("mean", "median", "per-pixel")
+"""Of such a table."""
+
 MAP_KINDS = (
     *("disparity.png", "disparity.pfm", "disparity.npy", "picture.png"),
     *("depth.png", "depth.npy", "depth.tiff", "points.bin"),
@@ -81,7 +88,7 @@ POINTS_ENDINGS = (".ply", ".glb")
 VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
 BAG_ENDINGS = (".mcap", ".bag")
 
-_WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
+WEIGHTS_ENDINGS = (".safetensors", ".ckpt", ".pth", ".pt", ".tar", ".bin")
 
 _DEVICE = r"auto|[a-z]+(:\d+)?|[A-Z]+(\.\d+)?"
 """Of PyTorch, such as cuda:1, or of OpenVINO, such as GPU."""
@@ -159,7 +166,7 @@ def _check_folder(option: str, path: Path) -> None:
 
 
 def _check_weights(option: str, source: Path | str) -> None:
-    if Path(source).suffix in _WEIGHTS_ENDINGS and not Path(source).exists():
+    if Path(source).suffix in WEIGHTS_ENDINGS and not Path(source).exists():
         raise FileNotFoundError(f"{source}: no such file")
     note_inputs(source)
 
@@ -279,7 +286,7 @@ def check_trained(model: str | None, weights: Path | None) -> None:
     path = model.removeprefix("onnx:").partition(",")[0]  # onnx:FILE,option=value
     if model.startswith("onnx:") and not Path(path).is_file():
         raise FileNotFoundError(f"--model {model}: there is no file {path}")
-    if Path(path).suffix in _WEIGHTS_ENDINGS and not Path(path).is_file():
+    if Path(path).suffix in WEIGHTS_ENDINGS and not Path(path).is_file():
         raise FileNotFoundError(f"--model {model}: no such file")
     if path != model or "/" in model or Path(model).exists():
         return  # an ONNX file, or what a file, a folder or the hub holds

@@ -8,23 +8,15 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.early import assignment, ends_in, one_of
+from mobilestereonet.cli.early import ends_in
 from mobilestereonet.cli.engine import MatcherOptions, Precision
-from mobilestereonet.cli.options import DataRoot, Split
-from mobilestereonet.cli.sources import data_sets
+from mobilestereonet.cli.scoring import ScoringOptions
+from mobilestereonet.cli.table_options import TableOptions
 from mobilestereonet.errors import InputError
-from mobilestereonet.settings import parse_assignments
 
 
 def evaluate(
-    data: Annotated[
-        str,
-        typer.Option(
-            help="Data set of `msnet data list`, such as kitti2015, sceneflow, folder.",
-            callback=one_of(data_sets),
-        ),
-    ],
-    root: DataRoot,
+    scoring: ScoringOptions,
     *,
     options: MatcherOptions,
     model: Annotated[
@@ -35,30 +27,6 @@ def evaluate(
         ),
     ] = None,
     precision: Precision = "fp32",
-    split: Split = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="An option of the data set, such as size=H, or a value of the networks' configs "
-            "in place of the weights' own, such as net.estimator=mean. Repeat for more.",
-            callback=assignment,
-        ),
-    ] = None,
-    authors: Annotated[
-        bool,
-        typer.Option(
-            "--authors-protocol",
-            help="Crop, pad and skip images as the paper's authors do on this data set.",
-        ),
-    ] = False,
-    max_disparity: Annotated[
-        float, typer.Option(help="Score ground truth below this, in px; inf for all of it.")
-    ] = 192,
-    threshold: Annotated[
-        list[float] | None, typer.Option(help="A t of bad-t. Repeat for more. Default: 1 2 3.")
-    ] = None,
-    batch_size: Annotated[int, typer.Option(metavar="<n>", min=1, help="Pairs per call.")] = 1,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for error maps, one folder per model in it.")
     ] = None,
@@ -82,18 +50,18 @@ def evaluate(
             help="CSV file, a row per model and pair.", callback=ends_in([".csv"], "tables are")
         ),
     ] = None,
+    tables: TableOptions,
 ) -> None:
-    """Score models on a data set: EPE, D1, bad-t over all its masks."""
+    """Score models on a data set: EPE, D1 and bad-t over all its masks.
+
+    Several models are compared in one more table, which -o writes for a paper.
+    """
     models: list[str | None] = [*model] if model else [None]
     if options.weights is not None and len(models) > 1:
         raise InputError(
             f"{options.weights} belongs to one model: give --model once, or not at all"
         )
-    of_network = [text for text in settings or () if text.startswith("net.")]
-    of_data = parse_assignments([text for text in settings or () if text not in of_network])
-    if split is not None:
-        of_data["split"] = split
-    options = replace(options, precision=precision, settings=of_network)
+    options = replace(options, precision=precision, settings=scoring.of_networks)
     # Beside networks sgbm takes no part in the choice of their engine and their configs.
     choices = [
         MatcherOptions(model=name)
@@ -103,50 +71,37 @@ def evaluate(
     ]
 
     from rich.console import Console
-    from rich.progress import track
 
     from mobilestereonet.atomic import check_outputs, make_folder
-    from mobilestereonet.data import open_data_set
-    from mobilestereonet.evaluation import (
-        EvaluationProtocol,
-        authors_protocol,
-        legend,
-        save_evaluations,
-    )
-    from mobilestereonet.evaluation import evaluate as run
+    from mobilestereonet.evaluation import legend, save_evaluations
 
-    pairs = open_data_set(data, root, **of_data)
-    pairs.require_truth()
-    protocol = authors_protocol(data) if authors else EvaluationProtocol()
-    protocol = replace(protocol, max_disparity=max_disparity)
-    # The padding is one of normalised views, which sgbm does not take.
-    protocols = [replace(protocol, padding=None) if n == "sgbm" else protocol for n in models]
-    matchers = [
-        chosen.open_matcher(padding=own.padding)
-        for chosen, own in zip(choices, protocols, strict=True)
-    ]
-    files = [file for file in (json, csv, per_pair) if file is not None]
+    pairs, printed = scoring.open(), scoring.printed()
+    matchers = [scoring.open_matcher(chosen) for chosen in choices]
+    files = [file for file in (json, csv, per_pair, tables.output) if file is not None]
     for folder in (pictures, *(file.parent for file in files)):
         if folder is not None:
             make_folder(folder)
     check_outputs(*files)
-    progress = Console(stderr=True)
     evaluations = []
-    for matcher, own in zip(matchers, protocols, strict=True):
-        title, quiet = f"{matcher.model} on {pairs}", not progress.is_terminal
-        indices = track(range(len(pairs)), title, console=progress, transient=True, disable=quiet)
-        evaluations.append(
-            run(
-                matcher.disparity,
-                (pairs[index] for index in indices),
-                model=matcher.model + (f" ({options.weights.name})" if options.weights else ""),
-                data_name=str(pairs),
-                protocol=own,
-                thresholds=threshold or (1, 2, 3),
-                batch_size=batch_size,
-                pictures=None if pictures is None else pictures / matcher.model,
-            )
-        )
-        Console().print(evaluations[-1].table(legend=False))
-    Console().print(legend(evaluations[-1].scores))
+    for matcher in matchers:
+        name = matcher.model + (f" ({options.weights.name})" if options.weights else "")
+        place = None if pictures is None else pictures / matcher.model
+        evaluations.append(scoring.score(matcher, pairs, name, place))
+        if tables.format is None:
+            Console().print(evaluations[-1].table(legend=False))
+    if tables.format is None:
+        Console().print(legend(evaluations[-1].scores))
     save_evaluations(evaluations, json, csv, per_pair)
+    if len(models) > 1 or tables.wanted or scoring.paper:
+        rows = distinct([evaluation.model for evaluation in evaluations])
+        networks = [matcher.model.partition(".")[0] for matcher in matchers]
+        groups = {row: [one] for row, one in zip(rows, evaluations, strict=True)}
+        tables.show(scoring.table(groups, dict(zip(rows, networks, strict=True)), printed))
+
+
+def distinct(names: list[str]) -> list[str]:
+    """Names, numbered where one comes again."""
+    return [
+        name if name not in names[:at] else f"{name} ({names[:at].count(name) + 1})"
+        for at, name in enumerate(names)
+    ]

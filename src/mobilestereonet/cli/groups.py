@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from operator import getitem
@@ -19,8 +19,9 @@ def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
     """A command as Typer takes it, with an option per field for each parameter that is a group.
 
     A parameter of the command with a field's name takes the field's place, with a help text and a
-    default of its own; the group then has the field's default. Options get their panel in the help,
-    and the shell completes them where their check knows all names.
+    default of its own; the group then has the field's default. So does a field of an earlier group.
+    Options get their panel in the help, and the shell completes them where their check knows all
+    names.
 
     Args:
         command: Function whose parameters are annotated with Typer's options, or with dataclasses
@@ -28,6 +29,11 @@ def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
     """
     own = signature(command, eval_str=True).parameters
     groups = {name: own[name].annotation for name in own if is_dataclass(own[name].annotation)}
+    owners: dict[str, str] = {}
+    for name, group in groups.items():
+        for field in fields(group):
+            if field.name not in own:
+                owners.setdefault(field.name, name)
     options: list[Parameter] = []
     for name, parameter in own.items():
         if name not in groups:
@@ -37,7 +43,7 @@ def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
         options += [
             _option(field.name, field.default, kinds[field.name])
             for field in fields(groups[name])
-            if field.name not in own
+            if owners.get(field.name) == name
         ]
     options.sort(
         key=lambda option: place_in_help(option.name, _info(option.annotation).rich_help_panel)
@@ -46,7 +52,7 @@ def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def expanded(**values: Any) -> None:
         for name, group in groups.items():
-            names = [field.name for field in fields(group) if field.name not in own]
+            names = [option for option, owner in owners.items() if owner == name]
             values[name] = group(**{option: values.pop(option) for option in names})
         command(**values)
 
@@ -58,6 +64,7 @@ def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
 def _option(name: str, default: Any, annotation: Any) -> Parameter:
     """A parameter as Typer takes it, with its panel and its completion."""
     info = copy(_info(annotation))
+    default = Parameter.empty if default is MISSING else default
     if isinstance(info, OptionInfo):
         info.rich_help_panel = info.rich_help_panel or panel_of(name)
     info.autocompletion = info.autocompletion or getattr(info.callback, "complete", None)

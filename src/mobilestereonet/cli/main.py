@@ -16,6 +16,7 @@ from mobilestereonet.cli.ablate import ablate
 from mobilestereonet.cli.average import average
 from mobilestereonet.cli.batch import batch
 from mobilestereonet.cli.bench import bench
+from mobilestereonet.cli.compare import compare
 from mobilestereonet.cli.cost import cost
 from mobilestereonet.cli.data import data
 from mobilestereonet.cli.demo import demo
@@ -66,11 +67,12 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
     },
     "Research": {
         evaluate: "evaluate --data kitti2015 --root kitti/ --model msnet3d",
+        compare: "compare runs/* --data kitti2015 --root kitti/ -o table.tex",
         submit: "submit kitti2015 --root kitti/ -o kitti2015.zip",
         train: "train runs/first --model msnet2d --set lr=5e-4",
         plot_run: "plot-run runs/first",
         average: "average runs/first/last.ckpt runs/second/last.ckpt",
-        ablate: "ablate runs --table 3a --steps 2000",
+        ablate: "ablate runs --models msnet2d --vary lr=1e-3,5e-4 --seeds 3",
     },
 }
 """The commands by their panel in the help, each with an example."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 PANELS = {
     "Input": (
         *("data", "root", "split", "textures", "count", "seed", "training_only", "authors"),
+        "threshold",
         *("pair_by", "layout", "order", "rotate", "fps", "left_topic", "right_topic", "tolerance"),
     ),
     "Network": (
-        *("model", "models", "table", "weights", "quality", "hz", "settings"),
+        *("model", "models", "table", "vary", "weights", "quality", "hz", "settings"),
         *("max_disparity", "scale", "shift"),
     ),
-    "Training": ("recipe", "assignments", "steps", "resume", "max_time"),
+    "Training": ("recipe", "assignments", "steps", "seeds", "resume", "max_time"),
     "Engine": (
         *("runtime", "precision", "threads", "device", "accelerator", "devices", "num_nodes"),
         *("tile", "batch_size", "ray", "workers", "gpus"),
@@ -29,6 +30,9 @@ PANELS = {
             "bag",
             "rerun",
             "pictures",
+            "format",
+            "statistic",
+            "paper",
             "json",
             "csv",
             "per_pair",

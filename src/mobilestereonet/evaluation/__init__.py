@@ -7,6 +7,13 @@ from mobilestereonet.evaluation.benchmarks import (
     open_benchmark,
     plan_submission,
 )
+from mobilestereonet.evaluation.comparison import (
+    PAPER_COLUMNS,
+    Column,
+    compare_evaluations,
+    comparison_table,
+    leaderboard_columns,
+)
 from mobilestereonet.evaluation.evaluate import (
     Evaluation,
     EvaluationProtocol,
@@ -17,6 +24,7 @@ from mobilestereonet.evaluation.evaluate import (
 from mobilestereonet.evaluation.matching import DisparityFn
 from mobilestereonet.evaluation.pareto import ParetoPoint, pareto_front, plot_pareto
 from mobilestereonet.evaluation.report import legend
+from mobilestereonet.evaluation.result_table import ResultTable, Spread
 from mobilestereonet.evaluation.sparsification import (
     Sparsification,
     plot_sparsification,
@@ -26,16 +34,23 @@ from mobilestereonet.evaluation.submit import check_submission, write_submission
 
 __all__ = [
     "BENCHMARKS",
+    "PAPER_COLUMNS",
     "Benchmark",
+    "Column",
     "DisparityFn",
     "Evaluation",
     "EvaluationProtocol",
     "ParetoPoint",
+    "ResultTable",
     "Sparsification",
+    "Spread",
     "Submission",
     "authors_protocol",
     "check_submission",
+    "compare_evaluations",
+    "comparison_table",
     "evaluate",
+    "leaderboard_columns",
     "legend",
     "open_benchmark",
     "pareto_front",

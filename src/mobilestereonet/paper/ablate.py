@@ -1,35 +1,40 @@
-"""Ablations: several networks under one recipe, beside the paper's table."""
+"""Ablations: variants of a recipe, each with some seeds, trained and scored on the same pairs."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
-from rich.table import Table
 from torch import Tensor
 
 from mobilestereonet.atomic import write_text
 from mobilestereonet.errors import InputError
-from mobilestereonet.evaluation import EvaluationProtocol, evaluate
+from mobilestereonet.evaluation import (
+    PAPER_COLUMNS,
+    EvaluationProtocol,
+    ResultTable,
+    comparison_table,
+    evaluate,
+)
 from mobilestereonet.inference import StereoMatcher
 from mobilestereonet.nets import list_models, model_config
-from mobilestereonet.paper.tables import ablation_tables
-from mobilestereonet.settings import build
+from mobilestereonet.paper.tables import printed_errors
+from mobilestereonet.settings import build, choice_hint
 from mobilestereonet.text import read_json
 from mobilestereonet.training.data import RunData
 from mobilestereonet.training.named_recipes import read_recipe
-from mobilestereonet.training.recipe import Recipe
+from mobilestereonet.training.recipe import Recipe, override
 from mobilestereonet.training.run import train
+from mobilestereonet.training.seeds import variation_label
 
 TABLES = ("2", "3a", "3b", "appendix2d", "appendix3d")
 """The paper's ablations, by what `table_models` takes."""
-
-_FIGURES = {"EPE": "epe", "D1": "d1", "px-3": "bad3"}
-"""The paper's names of the figures, and those of `StereoScores`."""
 
 
 def table_models(table: str) -> list[str]:
@@ -39,9 +44,60 @@ def table_models(table: str) -> list[str]:
         InputError: If the table is unknown.
     """
     if table not in TABLES:
-        raise InputError(f"unknown table {table!r}: choose one of {', '.join(TABLES)}")
+        raise InputError(f"unknown table {table!r}: {choice_hint(table, TABLES)}")
     prefix = table if table.startswith("appendix") else f"table{table}"
     return [model for model in list_models() if model.startswith(f"{prefix}-")]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One run of an ablation.
+
+    Attributes:
+        label: Name of its row: the network and the values that are varied.
+        folder: Name of its folder.
+        recipe: How it is trained.
+    """
+
+    label: str
+    folder: str
+    recipe: Recipe
+
+
+def variants(
+    recipe: Recipe,
+    models: Sequence[str],
+    vary: Mapping[str, Sequence[Any]] | None = None,
+    seeds: int = 1,
+) -> list[Variant]:
+    """Every combination of networks and values, with some seeds each.
+
+    Args:
+        recipe: The recipe; its own model does not matter.
+        models: Names of networks.
+        vary: Values of the recipe by name, such as ``{"lr": [1e-3, 5e-4]}``.
+        seeds: Runs of each combination: the recipe's seed and those after it.
+
+    Raises:
+        InputError: If a name or value is none of the recipe's or of a network's, or one is given
+            twice.
+    """
+    vary = vary or {}
+    found: list[Variant] = []
+    for model, *values in product(dict.fromkeys(models), *vary.values()):
+        chosen = dict(zip(vary, values, strict=True))
+        own = override(recipe, {"model": model, **chosen})
+        model_config(own.model, **own.net)  # what is wrong is told now, not after some runs
+        told = {name: value for name, value in chosen.items() if name != "model"}
+        label = variation_label(own.model, told)
+        name = re.sub(r"[^\w.=,+-]+", "_", label.replace(":", ".").replace(", ", ","))
+        for index in range(seeds):
+            folder = name if index == 0 else f"{name}.seed{own.seed + index}"
+            found.append(Variant(label, folder, replace(own, seed=own.seed + index)))
+    for at, variant in enumerate(found):
+        if any(variant.folder == o.folder or variant.recipe == o.recipe for o in found[:at]):
+            raise InputError(f"{variant.label} comes twice in this ablation: leave one of them out")
+    return found
 
 
 @dataclass(frozen=True)
@@ -52,21 +108,24 @@ class AblationRow:
         model: Its name.
         pairs: Validation pairs that were scored.
         figures: Means over these pairs, by the paper's names: EPE in px, D1 and px-3 in percent.
+        label: Name of its row, which it shares with other seeds.
+        seed: Seed of its recipe.
     """
 
     model: str
     pairs: int
     figures: dict[str, float]
+    label: str = ""
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in _FIGURES:
-            if not isinstance(self.figures.get(name), float | int):
-                raise InputError(f"figures lack {name}, a number")
+        for column in PAPER_COLUMNS:
+            if not isinstance(self.figures.get(column.title), float | int):
+                raise InputError(f"figures lack {column.title}, a number")
 
 
 def ablate(
-    models: Sequence[str],
-    recipe: Recipe,
+    runs: Sequence[Variant],
     folder: Path,
     *,
     precision: str = "32-true",
@@ -74,48 +133,37 @@ def ablate(
     workers: int = 0,
     progress: bool = True,
 ) -> Iterator[AblationRow]:
-    """Train and score networks, all on the same pairs in the same order.
+    """Train and score variants, those with the same data on the same pairs in the same order.
 
-    What is done already is not done again: a finished network is read from its folder, a started
-    one is resumed.
+    What is done already is not done again: a finished run is read from its folder, a started one
+    is resumed.
 
     Args:
-        models: Names of networks.
-        recipe: How each of them is trained; its own model does not matter.
-        folder: Gets the folder of a run for each network, and ``ablation.json``: the recipe and
-            the rows so far.
+        runs: The variants, see `variants`.
+        folder: Gets a folder for each of them, and ``ablation.json``: the rows so far and the
+            recipe of the first.
         precision: See `train`, as for the other arguments.
         accelerator: Likewise.
         workers: Likewise.
         progress: Likewise.
 
     Yields:
-        A row per network, as soon as it is done.
+        A row per variant, as soon as it is done.
 
     Raises:
-        InputError: If a network is unknown, the recipe has weights to start from, or a folder
-            holds a run under another recipe.
+        InputError: If a recipe has weights to start from, or a folder holds a run under another
+            recipe.
     """
-    for model in models:
-        model_config(model, **recipe.net)  # what is wrong is told now, not after some runs
-    if recipe.weights is not None:
-        raise InputError(
-            f"an ablation starts from fresh weights, not from {recipe.weights}: leave weights out"
-        )
-    recipe = recipe.with_absolute_paths()
+    for variant in runs:
+        if variant.recipe.weights is not None:
+            raise InputError(
+                f"an ablation starts from fresh weights, not from {variant.recipe.weights}: leave "
+                "weights out"
+            )
     rows: list[AblationRow] = []
-    for model in models:
-        own = replace(recipe, model=model).with_absolute_paths()
-        run = folder / Path(model).name.replace(":", ".")  # the user's own have a folder
-        if (run / "recipe.json").is_file():
-            before = read_recipe(
-                run / "recipe.json", trusted=(own.model, own.loss)
-            ).with_absolute_paths()
-            if changed := before.changes(own):
-                raise InputError(
-                    f"{run} holds a run under another recipe ({changed}): set it as it was, or "
-                    "choose another folder"
-                )
+    for variant in runs:
+        own, run = variant.recipe.with_absolute_paths(), folder / variant.folder
+        _check_run(own, run)
         score = run / "score.json"
         if not score.is_file():
             train(
@@ -130,10 +178,24 @@ def ablate(
             device = "cuda" if accelerator != "cpu" and torch.cuda.is_available() else "cpu"
             pairs = RunData(own, workers).validation(device)
             _write_json(score, asdict(_score(own, run, pairs, device)))
-        rows.append(build(AblationRow, read_json(score), str(score)))
-        record = {"recipe": asdict(recipe), "rows": [asdict(row) for row in rows]}
+        row = build(AblationRow, read_json(score), str(score))
+        rows.append(replace(row, label=variant.label, seed=own.seed))
+        first = runs[0].recipe.with_absolute_paths()
+        record = {"recipe": asdict(first), "rows": [asdict(row) for row in rows]}
         _write_json(folder / "ablation.json", record)
         yield rows[-1]
+
+
+def _check_run(recipe: Recipe, run: Path) -> None:
+    """Refuse a folder that holds a run under another recipe."""
+    if not (run / "recipe.json").is_file():
+        return
+    before = read_recipe(run / "recipe.json", trusted=(recipe.model, recipe.loss))
+    if changed := before.with_absolute_paths().changes(recipe):
+        raise InputError(
+            f"{run} holds a run under another recipe ({changed}): set it as it was, or "
+            "choose another folder"
+        )
 
 
 def _write_json(path: Path, record: dict[str, Any]) -> None:
@@ -155,35 +217,38 @@ def _score(recipe: Recipe, run: Path, pairs: Any, device: str) -> AblationRow:
         data_name=recipe.data,
         protocol=EvaluationProtocol(max_disparity),
     )
-    scores = result.scores.masks["all"]
-    figures = {name: scores.per_image[key] for name, key in _FIGURES.items()}
+    figures = {column.title: column.of(result, "mean") for column in PAPER_COLUMNS}
     known = {name: value for name, value in figures.items() if value is not None}
     if len(known) < len(figures):
         raise InputError(f"{recipe.data}: no pixel to score in 0 < d < {max_disparity}")
-    return AblationRow(recipe.model, scores.images, known)
+    return AblationRow(recipe.model, result.scores.masks["all"].images, known)
 
 
-def ablation_table(rows: Sequence[AblationRow], recipe: Recipe) -> Table:
-    """The rows beside the paper's figures, with what such a comparison can tell."""
-    printed = {row.name: row.errors for table in ablation_tables() for row in table.rows}
-    counted = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
-    length = recipe.duration or counted
-    table = Table(
-        title=f"{length} of {recipe.batch_size} pairs on {recipe.data}, "
-        f"scored on {rows[0].pairs if rows else 0} pairs",
-        caption="Per-image means, measured here and printed in the paper (20 epochs of SceneFlow, "
-        "its test set). Other data and another budget: compare the order of the rows, not the "
-        "figures. It is one seed: differences that another seed would turn around are none.",
-        caption_justify="left",
-    )
-    table.add_column("model")
-    for name in _FIGURES:
-        table.add_column(f"{name}\nmeasured", justify="right")
-        table.add_column("\npaper", justify="right")
+def ablation_table(rows: Iterable[AblationRow], recipe: Recipe) -> ResultTable:
+    """The rows beside the paper's figures, with what such a comparison can tell.
+
+    Args:
+        rows: Rows, of which those with one label differ by their seed.
+        recipe: The recipe that is varied.
+    """
+    groups: dict[str, list[AblationRow]] = {}
     for row in rows:
-        cells = []
-        for name, measured in row.figures.items():
-            paper = printed.get(row.model, {}).get(name)
-            cells += [f"{measured:.2f}", "" if paper is None else f"{paper:.2f}"]
-        table.add_row(row.model, *cells)
-    return table
+        groups.setdefault(row.label or row.model, []).append(row)
+    pairs = max((row.pairs for group in groups.values() for row in group), default=0)
+    counted = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
+    seeds = max((len(group) for group in groups.values()), default=0)
+    notes = (
+        "Per-image means, measured here and printed in the paper (20 epochs of SceneFlow, its test "
+        "set). Other data and another budget: compare the order of the rows, not the figures."
+    )
+    if seeds < 2:
+        notes += " It is one seed: differences that another seed would turn around are none."
+    printed = printed_errors("sceneflow")
+    return comparison_table(
+        {label: [row.figures for row in group] for label, group in groups.items()},
+        PAPER_COLUMNS,
+        title=f"{recipe.duration or counted} of {recipe.batch_size} pairs on {recipe.data}, "
+        f"scored on {pairs} pairs",
+        notes=notes,
+        printed={label: printed.get(label, {}) for label in groups},
+    )

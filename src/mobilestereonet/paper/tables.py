@@ -10,7 +10,8 @@ import functools
 from typing import Any
 
 from mobilestereonet.costs.count import Cost, count_costs
-from mobilestereonet.paper.peers import comparisons
+from mobilestereonet.errors import InputError
+from mobilestereonet.paper.peers import comparisons, own_name
 from mobilestereonet.paper.rows import PaperTable, Row, cells, printed
 
 
@@ -94,3 +95,48 @@ def printed_reduction_factors() -> dict[str, float]:
     """The example of the paper's Table 1 (k = 3, 32 -> 64 channels, t = 2): "2d_v1" to "3d_v2"."""
     table = printed()["table1_reduction"]
     return {key: table[key] for key in ("2d_v1", "2d_v2", "3d_v1", "3d_v2")}
+
+
+_FIGURES = {"EPE": "epe", "D1": "d1", "px-3": "bad3", "epe": "epe", "d1": "d1", "px3": "bad3"}
+"""The paper's names of errors, and those of `MaskScores`."""
+
+_ERROR_TABLES: dict[str, dict[str, tuple[str, ...]]] = {
+    "sceneflow": {
+        "table2_cost_volume_sceneflow": ("table2", "cost_volume"),
+        "table3a_2d": ("table3a", "features", "hourglass"),
+        "table3b_3d": ("table3b", "features", "hourglass"),
+        "table_appendix_2d_further": ("appendix2d", "first_conv", "pre_hourglass"),
+        "table_appendix_3d_further": ("appendix3d", "first_conv", "pre_hourglass"),
+        "table4a": (),
+        "table4b": (),
+    },
+    "kitti2015": {"table5": ()},
+}
+"""Tables with errors, by data set: the fields of a row that make a registered name."""
+
+
+def printed_errors(data: str) -> dict[str, dict[str, float]]:
+    """The errors that the paper prints, all measured by its authors.
+
+    Args:
+        data: "sceneflow" (its test split) or "kitti2015" (the paper's 40 validation pairs).
+
+    Returns:
+        Registered name of a network to its errors, by the names of `MaskScores`: ``epe`` in px,
+        ``d1`` and ``bad3`` in percent.
+
+    Raises:
+        InputError: If the paper prints none for a data set.
+    """
+    if data not in _ERROR_TABLES:
+        raise InputError(
+            f"the paper prints no errors on {data}, only on {', '.join(_ERROR_TABLES)}"
+        )
+    errors: dict[str, dict[str, float]] = {}
+    for table, fields in _ERROR_TABLES[data].items():
+        for line in printed()[table]:
+            parts = [fields[0], *(line[field] for field in fields[1:])] if fields else []
+            name = "-".join(parts) if parts else own_name(line["model"])
+            if name:
+                errors[name] = {_FIGURES[key]: line[key] for key in line if key in _FIGURES}
+    return errors

@@ -1,0 +1,55 @@
+"""Runs that differ by their seed alone, and labels that tell the others apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mobilestereonet.settings import UNSET, differences
+from mobilestereonet.training.recipe import Recipe
+
+
+def group_by_seed(recipes: Mapping[str, Recipe]) -> dict[str, list[str]]:
+    """Group runs that differ by their seed alone.
+
+    Args:
+        recipes: Recipes by the names of their runs.
+
+    Returns:
+        Names of the runs by the label of their group: the network, and the values in which it
+        differs from other groups with this network, such as ``msnet2d, lr=0.0005``.
+    """
+    groups: list[list[str]] = []
+    for name, recipe in recipes.items():
+        for group in groups:
+            if not _changed(recipes[group[0]], recipe):
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    firsts = [recipes[group[0]] for group in groups]
+    return {_label(recipes[group[0]], firsts): group for group in groups}
+
+
+def variation_label(model: str, values: Mapping[str, Any]) -> str:
+    """Label of a run: its network and the values that tell it apart."""
+    texts = (f"{name}={value}" for name, value in values.items() if value != UNSET)
+    return ", ".join([Path(model).name, *texts])
+
+
+def _changed(one: Recipe, other: Recipe) -> dict[str, tuple[Any, Any]]:
+    """Values in which two runs differ, seeds and places of files apart."""
+    same = {"seed", "root", "textures"}
+    if one.duration is not None and other.duration is not None:
+        same.add("steps")  # as many as there was time for
+    return {name: pair for name, pair in differences(one, other).items() if name not in same}
+
+
+def _label(recipe: Recipe, others: list[Recipe]) -> str:
+    values: dict[str, Any] = {}
+    for other in others:
+        changed = _changed(recipe, other)
+        if "model" not in changed:
+            values |= {name: own for name, (own, _) in changed.items()}
+    return variation_label(recipe.model, values)
