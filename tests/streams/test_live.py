@@ -168,6 +168,11 @@ def test_bad_calls_end_with_one_line(msnet, sequence):
         assert re.fullmatch(rf"msnet: {re.escape(message)}.*\n", err)
 
 
+def test_without_a_source_it_says_so(msnet):
+    code, _, err = msnet("live")
+    assert code == 2 and "Missing argument" in err
+
+
 def test_live_writes_what_video_writes(msnet, sequence):
     need_extra("rosbags")
     bag = sequence / "out.mcap"

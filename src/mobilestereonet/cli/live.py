@@ -32,7 +32,7 @@ class LiveCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of a call."""
         words = []
-        for word, following in zip(args, [*args[1:], ""], strict=True):
+        for word, following in zip(args, [*args[1:], ""], strict=False):
             words += [word]
             if word == _SHOW and following not in _SCREENS:
                 words += [_SCREENS[0]]
