@@ -27,6 +27,13 @@ def pair(tmp_path, monkeypatch):
         (KeyError("x\n\x1b[1my"), 70, "a fault of msnet itself, KeyError: "),
         (RecursionError("too deep"), 70, "please report it"),
         (MemoryError(), 2, "not enough memory"),
+        (ModuleNotFoundError("No module named 'cv2'", name="cv2"), 2, "opencv-python-headless"),
+        (ModuleNotFoundError("No module named 'h5py.x'", name="h5py.x"), 2, "--no-deps h5py"),
+        (
+            ModuleNotFoundError("No module named 'mobilestereonet.x'", name="mobilestereonet.x"),
+            70,
+            "",
+        ),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), 2, "--tile"),
     ],
 )

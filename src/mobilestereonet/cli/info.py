@@ -32,8 +32,7 @@ def info(as_json: AsJson = False) -> None:
     if len(owners) > 1:
         print(
             f"msnet: {' and '.join(owners)} share one folder, cv2: what was installed last counts, "
-            "and removing one breaks the other. To put it right, pip uninstall all of them, and "
-            "install the one that you want",
+            "and removing one breaks the other. Keep one: pip uninstall both, then install it",
             file=sys.stderr,
         )
 
@@ -66,10 +65,12 @@ def _opencv() -> str:
 
 def _packages() -> list[str]:
     """The installed ones of the packages that this one, or an extra of it, needs."""
-    needed = metadata.requires("mobilestereonet") or []
-    names = sorted({re.split(r"[^\w.-]", line)[0] for line in needed})
+    try:
+        needed = metadata.requires("mobilestereonet") or []
+    except metadata.PackageNotFoundError:  # a source tree that is not installed
+        needed = []
     found = []
-    for name in names:
+    for name in sorted({re.split(r"[^\w.-]", line)[0] for line in needed}):
         try:
             found.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:

@@ -71,6 +71,13 @@ def report(error: Exception, *, debug: bool = False) -> int:
     if isinstance(error, InputError | OSError):
         print(f"msnet: {text}", file=sys.stderr)
         return BAD_INPUT
+    if isinstance(error, ModuleNotFoundError) and (package := _package_of(error)):
+        print(
+            f"msnet: {text}: a package is missing, or was removed in part; pip install "
+            f"--force-reinstall --no-deps {package} (`msnet info` says what is installed)",
+            file=sys.stderr,
+        )
+        return BAD_INPUT
     if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(text):
         print(
             f"msnet: not enough memory ({text}): take smaller pictures, smaller tiles (--tile) or "
@@ -84,6 +91,16 @@ def report(error: Exception, *, debug: bool = False) -> int:
         file=sys.stderr,
     )
     return UNFORESEEN
+
+
+def _package_of(error: ModuleNotFoundError) -> str | None:
+    """The package that brings a missing module, such as OpenCV's; None for a module of ours."""
+    from importlib.metadata import packages_distributions
+
+    name = (error.name or "").partition(".")[0]
+    if name == __name__.partition(".")[0]:
+        return None
+    return packages_distributions().get(name, [name])[0]
 
 
 def _one_line(error: Exception) -> str:
