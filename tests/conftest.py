@@ -9,10 +9,13 @@ from mobilestereonet.cli.main import main
 
 
 def pytest_configure():
-    """Share the cores out among the workers, so that they do not wait for each other."""
-    if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
-        # Read when torch is imported, which is later.
-        os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // int(workers))))
+    """Share the cores out among the workers, so that they do not wait for each other.
+
+    What the environment says holds: no test depends on how busy the machine is.
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
+    # Read when torch is imported, which is later.
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
 
 
 @pytest.fixture(autouse=True, scope="session")

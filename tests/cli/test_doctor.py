@@ -36,6 +36,24 @@ def test_doctor(msnet, folder):
     assert "left.png has 320x200" in err
 
 
+def test_doctor_hears_how_the_views_lie(msnet, folder):
+    views = [cv2.imread(str(folder / f"{side}.png")) for side in ("left", "right")]
+    cv2.imwrite(str(folder / "both.png"), np.vstack(views)[:, 1:])
+    cv2.imwrite(str(folder / "turned.png"), np.rot90(np.vstack(views), 2))
+    stacked = ("--layout", "top-bottom")
+    assert msnet("doctor", folder / "both.png", *stacked)[0] == 0
+    assert msnet("doctor", folder / "both.png", *stacked, "--order", "right-left")[0] == 1
+    assert msnet("doctor", folder / "turned.png", *stacked, "--rotate", 180)[0] == 1
+    options = (*stacked, "--rotate", 180, "--order", "right-left")
+    assert msnet("doctor", folder / "turned.png", *options)[0] == 0
+    code, out, _ = msnet("doctor", folder / "left.png")
+    assert code == 1
+    assert "layout: the picture's halves are not two views" in out
+    code, out, err = msnet("predict", folder / "left.png", "-o", folder / "a", "--model", "sgbm")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "halves are not two views" in err and not (folder / "a").exists()
+
+
 def write_rig(path, **values):
     camera = np.array([[300.0, 0, 160], [0, 300, 100], [0, 0, 1]])
     rotation = cv2.Rodrigues(np.array([0.0, 0.02, 0.03]))[0]

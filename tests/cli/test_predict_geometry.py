@@ -22,6 +22,11 @@ def folder(tmp_path):
     text = (tmp_path / "calib.txt").read_text()
     half = text.replace(" 60; 0", " 30; 0").replace("120;", "60;").replace("125;", "65;")
     (tmp_path / "half.txt").write_text(half + "width=120\nheight=60\n")
+    (tmp_path / "small.txt").write_text(half)
+    (tmp_path / "large.txt").write_text(
+        text.replace("120;", "239;").replace("125;", "244;").replace(" 60; 0", " 119; 0")
+    )
+    (tmp_path / "wide.txt").write_text(text.replace("500", "15.8"))
     return tmp_path
 
 
@@ -46,6 +51,20 @@ def test_depth_and_points(msnet, folder):
     )
     assert b"element vertex" in points[0].read_bytes()[:300]
     assert points[1].read_bytes()[:4] == b"glTF"
+
+
+def test_the_range_and_the_median_are_told(msnet, folder):
+    rig = ("--rig", folder / "calib.txt", "--points", folder / "points.ply")
+    _, out, _ = predict(msnet, folder)
+    told = r"sgbm on sgbm int16, 240x120: \d+\.\d\d s; disparity (\S+) to (\S+) px \(median 20\)"
+    low, high = map(float, re.match(rf"{told}\n", out).groups())
+    assert low <= 20 <= high
+    _, out, _ = predict(msnet, folder, *rig)
+    assert re.match(rf"{told}; depth \S+ to \S+ m \(median 2\)\n", out)
+    _, out, _ = predict(msnet, folder, *rig, "--json")
+    facts = json.loads(out)
+    assert facts["disparity"]["median"] == pytest.approx(20, abs=0.1)
+    assert facts["depth"]["low"] <= facts["depth"]["median"] == pytest.approx(2, abs=0.01)
 
 
 def test_numbers_instead_of_a_file(msnet, folder):
@@ -88,6 +107,11 @@ def test_a_field_of_view_is_told_to_be_assumed(msnet, folder):
     code, _, err = predict(msnet, folder, *numbers)
     assert code == 0
     assert err.startswith("msnet: assumed: square pixels, the principal point in the middle")
+    assert "doffs" not in err
+    code, _, err = predict(msnet, folder, *numbers[:4], *numbers[6:])
+    assert code == 0
+    assert "rectified views, doffs 0 (cameras that do not converge), 27 degrees" in err
+    assert predict(msnet, folder, *numbers)[0] == 0
     focal = 120 / np.tan(np.radians(13.5))
     assert np.median(np.load(folder / "depth.npy")) == pytest.approx(focal * 0.1 / 25, rel=0.01)
 
@@ -97,6 +121,7 @@ def test_a_known_distance_gives_the_scale(msnet, folder):
     code, _, err = predict(msnet, folder, *known)
     assert code == 0
     assert err.startswith("msnet: assumed: ") and "60 degrees wide; 3.5 m at a dis" in err
+    assert "doffs 0" in err
     assert np.median(np.load(folder / "depth.npy")) == pytest.approx(3.5, rel=0.01)
     # What it says does the same, also for videos.
     focal, baseline = re.search(r"--focal (\S+) --baseline (\S+)", err).groups()
@@ -146,10 +171,15 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--depth", "d.npy"), "depth and points need --rig FILE, or --focal and --baseline"),
+        (("--depth", "d.npy"), "depth and points need --rig FILE; or --focal PX (or --fov DEGREES"),
+        (
+            ("--depth", "d.npy"),
+            "and --baseline METRES; or, with predict, --known COLUMN,ROW=METRES",
+        ),
+        (("--doffs", 3), "--doffs: a calibration needs --rig FILE; or --focal PX"),
         (("--points", "p.ply", "--baseline", 1), "--baseline needs --focal or --fov, too"),
         (("--depth", "d.npy", "--calib", "calib.txt", "--unit", "inch"), "there are m, cm, mm"),
-        (("--points", "p.ply", "--focal", 500), "--focal needs --baseline, too"),
+        (("--points", "p.ply", "--focal", 500), "--focal needs --baseline METRES, too (or --known"),
         (("--depth", "d.npy", "--focal", 500, "--baseline", 0), "baseline must be positive"),
         (("--depth", "d.npy", "--focal", -5, "--baseline", 1), "focal must be positive"),
         (("--calib", "calib.txt", "--focal", 1), "leave the options out"),
@@ -165,7 +195,10 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--depth", "d.npy", "--known", "240,60=3"), "column 240, row 60 is outside"),
         (("--fov", 60, "--focal", 500), "two ways to say one thing"),
         (("--depth", "d.npy", "--fov", 190, "--baseline", 1), "up to 170"),
-        (("--depth", "d.npy", "--fov", 60), "--fov needs --baseline, too"),
+        (("--depth", "d.npy", "--fov", 60), "--fov needs --baseline METRES, too (or --known"),
+        (("--depth", "d.npy", "--rig", "wide.txt"), "a view of 165 degrees: is it of pictures of"),
+        (("--depth", "d.npy", "--rig", "large.txt"), "is the middle of pictures of about 478x238"),
+        (("--depth", "d.npy", "--rig", "small.txt"), "is the middle of pictures of about 120x60"),
         (("--depth", "d.npy", "--calib", "calib.txt", "--raw"), "about rectified pictures alone"),
         (("--depth", "d.npy", "--calib", "half.txt"), "of pictures of 120x60, these have 240x120"),
         (("--depth", "d.npy", "--calib", "half.txt"), "--resized says that they were only"),

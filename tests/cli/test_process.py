@@ -1,15 +1,19 @@
 """The last resort of the command line, names of files in any encoding, and what is sent nowhere."""
 
 import io
+import logging
 import os
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mobilestereonet.cli import process
+from mobilestereonet.cli import process, progress
+from mobilestereonet.cli.engine import cpu_threads
 from mobilestereonet.data.files import write_png
+from mobilestereonet.timing import long_work
 
 PAIR = ("left.png", "right.png")
 
@@ -39,7 +43,7 @@ def pair(tmp_path, monkeypatch):
 )
 @pytest.mark.parametrize("debug", [False, True])
 def test_what_nobody_foresaw_is_one_line(msnet, pair, monkeypatch, error, code, words, debug):
-    def fail(*_):
+    def fail(*_, **__):
         raise error
 
     monkeypatch.setattr("mobilestereonet.inference.load_pair", fail)
@@ -88,3 +92,59 @@ def test_the_engines_report_to_nobody():
     from mobilestereonet.engines import onnxruntime  # noqa: F401
 
     assert os.environ["ORT_DISABLE_TELEMETRY"] == "1"
+
+
+def test_a_busy_machine_is_told(monkeypatch, capsys):
+    import torch
+
+    monkeypatch.setattr("mobilestereonet.engines.threads.fitting_threads", lambda: 1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    assert cpu_threads(None, "cpu") == 1
+    assert capsys.readouterr().err == (
+        "msnet: machine busy, using 1 thread (--threads 2 uses all)\n"
+    )
+    assert cpu_threads(2, "cpu") == 2
+    assert cpu_threads(None, "cuda:0") is None
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    assert cpu_threads(None, "cpu") is None
+    assert capsys.readouterr().err == ""
+
+
+class AtOnce:
+    """A timer that does not wait."""
+
+    def __init__(self, seconds, function):
+        self.start = function
+
+    def cancel(self):
+        """Too late."""
+
+
+def test_long_work_is_shown(monkeypatch, capsys):
+    process.prepare_process()
+    log = logging.getLogger("mobilestereonet.engines.test")
+    with long_work(log, "converting quickly"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "Timer", AtOnce)
+    with pytest.raises(KeyError), long_work(log, "converting"):
+        raise KeyError
+    assert capsys.readouterr().err == "msnet: converting ...\nmsnet: converting: 0 s\n"
+
+
+def test_long_work_on_a_terminal_has_a_clock(monkeypatch):
+    monkeypatch.setattr(progress, "Timer", AtOnce)
+    monkeypatch.setenv("TERM", "xterm")
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    work = progress.LongWork("converting")
+    assert work.end()
+    assert re.search(r"converting.*0:00:02", terminal.getvalue())
+
+
+def test_python_hears_of_long_work_by_its_logger(caplog):
+    log = logging.getLogger("mobilestereonet.engines.test")
+    with caplog.at_level(logging.INFO), long_work(log, "converting"):
+        pass
+    assert [record.message for record in caplog.records] == ["converting", "converting: 0 s"]

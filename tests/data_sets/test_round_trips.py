@@ -105,7 +105,7 @@ SIZES = st.tuples(st.integers(2, 9999), st.integers(2, 9999))
 def calibrations(draw, sizes=SIZES):
     """Calibrations of views of a size, which they tell."""
     width, height = size = draw(sizes)
-    focals = positive(0.051 * width, 99 * width)
+    focals = positive(0.12 * width, 99 * width)
     return Calibration(
         focal=draw(focals),
         baseline=draw(positive(1.001e-3, 9.99)),

@@ -5,6 +5,7 @@ import threading
 import pytest
 import torch
 
+from mobilestereonet.engines import threads
 from mobilestereonet.engines.threads import use_threads
 
 
@@ -72,3 +73,22 @@ def test_overlapping_uses_leave_the_setting_as_it_was(second):
     assert seen == [second or 3, 3]
     assert torch.get_num_threads() == 3
     assert in_new_thread(torch.get_num_threads) == 3
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fitting"), [([1.0, 0.5], 1), ([1.0, 0.95], 3), ([0.5, 1.0], 3)]
+)
+def test_fewer_threads_where_they_are_clearly_faster(monkeypatch, seconds, fitting):
+    for name in threads.THREAD_SETTINGS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(threads, "time_interleaved", lambda *runs, repeats: seconds)
+    assert threads.fitting_threads() == fitting
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")  # what the user says is not measured
+    assert threads.fitting_threads() == 3
+
+
+def test_threads_are_really_timed(monkeypatch):
+    for name in threads.THREAD_SETTINGS:
+        monkeypatch.delenv(name, raising=False)
+    assert threads.fitting_threads() in (1, 3)
+    assert torch.get_num_threads() == 3

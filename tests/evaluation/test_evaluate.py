@@ -9,12 +9,14 @@ import pytest
 import torch
 from rich.console import Console
 
+from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.evaluate import evaluate as run_command
 from mobilestereonet.cli.scoring import ScoringOptions
 from mobilestereonet.cli.table_options import TableOptions
 from mobilestereonet.data.disparity_files import write_disparity_png
 from mobilestereonet.data.files import write_png
+from mobilestereonet.data.rig import Camera, CameraPair, Rig
 from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.errors import InputError
@@ -24,6 +26,7 @@ from mobilestereonet.evaluation import (
     evaluate,
     save_evaluations,
 )
+from mobilestereonet.inference import Rectifier
 from mobilestereonet.nets import Prediction, build_model
 from mobilestereonet.settings import parse_assignments
 from mobilestereonet.weights import save_weights
@@ -269,7 +272,7 @@ def command(data, root, model=None, weights=None, **values):
         options=MatcherOptions(weights=weights),
         model=model,
         tables=TableOptions(),
-        **values,
+        **{"cameras": RigFiles(), **values},
     )
 
 
@@ -285,6 +288,46 @@ def test_command(kitti, tmp_path, capsys):
     assert record["masks"]["all"]["per_image"]["epe"] == pytest.approx(4 / 3, abs=0.05)
     assert record["masks"]["fg"]["pixels"] == 3 * 32 * 40
     assert len(list((pictures / "sgbm").iterdir())) == 3
+
+
+def test_raw_views_are_rectified(tmp_path, capsys):
+    """The right camera is turned; the truth is that of the rectified left view."""
+    noise = np.random.default_rng(0).integers(0, 255, (48, 120, 3), dtype=np.uint8)
+    scene = cv2.GaussianBlur(noise, (0, 0), 1)
+    matrix, turned = np.array([[90.0, 0, 50], [0, 90, 24], [0, 0, 1]]), np.array([0.0, 0, 0.05])
+    warp = matrix @ cv2.Rodrigues(turned)[0] @ np.linalg.inv(matrix)
+    right = cv2.warpPerspective(scene[:, 8:108], warp, (100, 48))
+    write_png(tmp_path / "left/a.png", np.ascontiguousarray(scene[:, :100]))
+    write_png(tmp_path / "right/a.png", right)
+    lens = {"K1": matrix, "D1": np.zeros(5), "K2": matrix, "D2": np.zeros(5)}
+    np.savez(tmp_path / "rig.npz", **lens, R=cv2.Rodrigues(turned)[0], T=np.array([-0.1, 0, 0]))
+    rectifier = RigFiles(rig=[tmp_path / "rig.npz"])
+    calibration = rectifier.read().calibration((100, 48))
+    truth = np.full((48, 100), 8 * calibration.focal / 90, np.float32)
+    write_disparity_png(tmp_path / "disparity/a.png", truth)
+    figures = []
+    for cameras in (rectifier, RigFiles()):
+        options = {"settings": ["disparity=disparity/*.png", "scale=256"], "cameras": cameras}
+        command("folder", tmp_path, ["sgbm"], json=tmp_path / "a.json", **options)
+        (record,) = json.loads((tmp_path / "a.json").read_text())
+        figures.append(record["masks"]["all"]["per_image"]["epe"])
+    assert figures[0] < 0.3 < 1 < figures[1]
+
+
+def test_rectified_data_is_not_rectified_again():
+    sample = _sample("a", 40, 64)
+    lens = Camera(np.array([[60.0, 0, 32], [0, 60, 20], [0, 0, 1]]), np.zeros(5))
+    turned = cv2.Rodrigues(np.array([0, 0, 0.02]))[0]
+    raw = CameraPair(lens, lens, turned, np.array([-0.1, 0, 0]), (64, 40))
+    with pytest.raises(InputError, match="a: its views are rectified already"):
+        Rectifier(Rig((raw,))).sample(sample)
+    raw_sample = dataclasses.replace(sample, calibration=None, disparity=sample.disparity[1:])
+    with pytest.raises(InputError, match="truth has 64x39, the rectified views 64x40"):
+        Rectifier(Rig((raw,))).sample(raw_sample)
+    rectified = Calibration(70, 0.2)
+    known = Rectifier(Rig((rectified,))).sample(sample)
+    assert known.calibration == dataclasses.replace(rectified, size=(64, 40))
+    assert known.left is sample.left
 
 
 @pytest.mark.filterwarnings("ignore:kitti2015")

@@ -267,13 +267,48 @@ def test_a_search_that_begins_elsewhere():
 
 def test_one_view_above_the_other_with_odd_sides():
     views = LEFT[:, 1:], RIGHT[:, 1:]
-    pair = load_pair(np.vstack(views), top_bottom=True)
+    pair = load_pair(np.vstack(views), layout="top-bottom")
     assert same(put_right(pair, ViewOptions(layout="top-bottom")), *views)
     tensor = torch.from_numpy(np.vstack(views)).permute(2, 0, 1)
-    assert same(load_pair(tensor, top_bottom=True), *views)
+    assert same(load_pair(tensor, layout="top-bottom"), *views)
+    with pytest.raises(InputError, match=r"259 px wide, .*--layout top-bottom says"):
+        load_pair(tensor)
     odd = np.vstack([LEFT, RIGHT])[1:]
     with pytest.raises(InputError, match="359 px high"):
-        load_pair(odd, top_bottom=True)
+        load_pair(odd, layout="top-bottom")
     with pytest.raises(InputError, match="359 px high"):
         put_right(load_pair(odd), ViewOptions(layout="top-bottom"))
-    assert put_right(load_pair(odd)).height == 359
+    assert put_right(load_pair(odd), ViewOptions(layout="side-by-side")).height == 359
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        LEFT,  # the left view alone
+        np.hstack([LEFT, OTHER]),
+        np.hstack([LEFT, mirror(LEFT)]),  # one view of something symmetric
+        np.hstack([LEFT, missing(RIGHT)]),
+        np.tile(np.linspace(0, 255, 2 * WIDTH, dtype=np.uint8), (HEIGHT, 1)),  # nothing to match
+    ],
+)
+def test_one_view_is_not_taken_for_two(picture):
+    pair = load_pair(picture)
+    with pytest.raises(InputError, match=r"halves are not two views .*right view, too.*--layout"):
+        put_right(pair)
+    options = ViewOptions(layout="side-by-side")
+    assert put_right(pair, options).width == picture.shape[1] // 2  # the user knows better
+    (told,) = [f for f in check_whole(pair, 192) if f.check == "layout"]
+    assert told.level == "problem"
+    assert "layout" not in {f.check for f in check_whole(pair, 192, options=options)}
+
+
+def test_all_checks_hear_how_the_views_lie():
+    stacked = load_pair(np.vstack([RIGHT, LEFT]), layout="top-bottom")
+    levels = {f.check: f.level for f in check_whole(stacked, 192)}
+    assert levels["order"] == "problem"
+    options = ViewOptions(layout="top-bottom", order="right-left")
+    levels = {f.check: f.level for f in check_whole(stacked, 192, options=options)}
+    assert set(levels.values()) == {"good"}
+    turned = load_pair(half_turn(RIGHT), half_turn(LEFT))
+    options = ViewOptions(rotate=180, order="right-left")
+    assert {f.level for f in check_whole(turned, 192, options=options)} == {"good"}

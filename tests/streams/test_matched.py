@@ -137,3 +137,21 @@ def test_a_stream_that_starts_in_the_dark(matcher):
     findings, stream = look_at_stream(stream_of(*frames[:2]))
     assert [f.check for f in findings if f.level == "problem"] == ["content"]
     assert len(list(stream.frames)) == 2
+
+
+def test_a_source_of_one_view_is_refused(matcher):
+    left, right = make_pair(9)
+    single, both = make_pair(9, seed=1)[0], np.hstack([left, right])
+    dark = np.zeros_like(both)
+    words = "halves are not two views of one scene"
+    with pytest.raises(InputError, match=f"{words}.*right view, too"):
+        look_at_stream(stream_of((single,), (single,)))
+    with pytest.raises(InputError, match=words):
+        next(matcher.stream(stream_of((single,), (single,))))
+    _, stream = look_at_stream(stream_of((single,)), ViewOptions(layout="side-by-side"))
+    assert next(stream.frames).pair.width == 80
+    findings, stream = look_at_stream(stream_of((dark,), (dark + 9,), (both,)))
+    assert {f.level for f in findings} == {"good"}
+    assert len(list(stream.frames)) == 3
+    findings, _ = look_at_stream(stream_of((dark,), (dark,)))  # only its own problem
+    assert [f.check for f in findings if f.level == "problem"] == ["content"]

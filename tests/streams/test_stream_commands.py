@@ -150,7 +150,7 @@ def test_a_video_does_not_replace_its_source(msnet, tmp_path, monkeypatch, sourc
         (("video", "left", "right", "-o", "v.gif"), "v.gif: videos are written as .mp4"),
         (
             ("video", "left", "right", "--frames", "new", "--focal", "9"),
-            "--focal needs --baseline, too",
+            "--focal needs --baseline METRES, too",
         ),
         (("video", "left", "right", "--frames", "text.avi/new"), "Not a directory"),
         (
@@ -241,10 +241,10 @@ def test_left_views_alone_are_not_taken_for_pairs(msnet, tmp_path, command):
     place = ("-o" if command == "batch" else "--frames", maps)
     code, _, err = msnet(command, tmp_path, *place)
     assert code == 2
-    assert "the halves of its picture show no common scene: give the right view's, too" in err
+    assert err.startswith("msnet: 0: the picture's halves are not two views of one scene")
+    assert "give the right view, too" in err
     assert not maps.exists()
-    for way_out in (("--layout", "side-by-side"), ("--force",)):
-        assert msnet(command, tmp_path, *place, *way_out)[0] == 0
+    assert msnet(command, tmp_path, *place, "--layout", "side-by-side")[0] == 0
 
 
 def test_an_odd_width_of_views_above_each_other(msnet, tmp_path):

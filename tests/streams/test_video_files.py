@@ -198,8 +198,31 @@ def test_what_is_no_video_is_an_error(tmp_path):
         picture = np.zeros((48, 161, 3), np.uint8)
         container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
-    with pytest.raises(InputError, match=r"odd.mkv is 161 px wide"):
+    with pytest.raises(InputError, match=r"odd.mkv is 161 px wide, .*--layout top-bottom says"):
         open_stream(str(tmp_path / "odd.mkv"))
+
+
+def test_one_view_above_the_other_in_a_video_of_an_odd_width(tmp_path):
+    views = [view[:, :159] for view in make_pair(9)]
+
+    def write_odd(name, picture):
+        with av.open(str(tmp_path / name), "w") as container:
+            stream = container.add_stream("mjpeg", rate=10)
+            stream.height, stream.width = picture.shape[:2]
+            stream.pix_fmt = "yuvj444p"
+            for _ in range(2):
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            container.mux(stream.encode())
+        return str(tmp_path / name)
+
+    path = write_odd("odd.mkv", np.vstack(views))
+    for source in (path, f"file://{path}"):
+        frames = list(open_stream(source, layout="top-bottom").frames)
+        assert [frame.pair.left_image.shape for frame in frames] == [(48, 159, 3)] * 2
+        assert np.abs(frames[0].pair.right_image.astype(int) - views[1]).mean() < 30
+    path = write_odd("high.mkv", np.vstack(views)[1:, :158])
+    with pytest.raises(InputError, match=r"high.mkv is 95 px high, .*--layout side-by-side says"):
+        open_stream(path, layout="top-bottom")
 
 
 def test_a_file_that_ends_early_says_so(tmp_path):

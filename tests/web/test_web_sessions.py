@@ -14,7 +14,8 @@ from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.files import read_pfm
 from mobilestereonet.data.image_files import decode_image
-from mobilestereonet.inference import load_pair
+from mobilestereonet.data.rig import Camera, CameraPair, Rig
+from mobilestereonet.inference import Rectifier, load_pair
 from mobilestereonet.web.answer import CLOUD, Geometry, answer
 from mobilestereonet.web.sessions import Sessions
 from mobilestereonet.web.uploads import UploadLimits, admit
@@ -188,6 +189,23 @@ def test_without_calibration_there_is_no_depth(session, matcher):
         assert found.readings["depth"] is None
         assert not any("depth" in path.name or "points" in path.name for path in found.files)
         assert session.file("answer", CLOUD) is None
+
+
+def test_cameras_of_the_page(session, matcher):
+    camera = np.array([[60.0, 0, 32], [0, 60, 20], [0, 0, 1]])
+    turned = cv2.Rodrigues(np.array([0, 0, 0.02]))[0]
+    lens = Camera(camera, np.zeros(5))
+    pair = CameraPair(lens, lens, turned, np.array([-0.1, 0, 0]), (64, 40))
+    rectifier = Rectifier(Rig((pair,), "the cameras of this page"))
+    found = answer(session, matcher, Geometry(max_depth=100), rectifier)
+    known = rectifier.calibration((64, 40))
+    assert found.readings["depth"] == pytest.approx(known.focal * known.baseline)
+    assert (decode_image(found.left) != LEFT).any()  # rectified
+    own = answer(session, matcher, Geometry(50, 0.2), rectifier)  # what is filled in counts
+    assert own.readings["depth"] == pytest.approx(10)
+    small = Rectifier(Rig((CameraPair(lens, lens, turned, pair.translation, (63, 40)),), "cameras"))
+    with pytest.raises(InputError, match=r"cameras: .*63x40, these have 64x40"):
+        answer(session, matcher, Geometry(), small)
 
 
 def test_views_that_cannot_give_depth_give_none(root, sessions, upload, matcher):

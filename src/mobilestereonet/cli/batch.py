@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.atomic import unused_path
-from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.calibration import WAYS_TO_METRES, CalibrationOptions
 from mobilestereonet.cli.early import MAP_KINDS, one_of
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
@@ -108,7 +108,7 @@ def batch(
         note_inputs(*pair.files)
     check_outputs(*(path for pair in pairs for path in files.paths(pair.name)), *sinks.files)
     if files.needs_calibration and not rectifier and any(p.calibration is None for p in pairs):
-        raise InputError("depth needs --rig FILE, or --focal and --baseline")
+        raise InputError(f"depth needs {WAYS_TO_METRES}")
     cpus = options.threads or 1
     if ray is not None and options.model != "sgbm":
         options = replace(options, threads=cpus)  # a worker shares its machine
@@ -118,11 +118,7 @@ def batch(
     todo = files.unfinished(pairs) if skip_existing or ray else pairs
     findings, arrangement = look_at_pairs(todo, views.views, rectifier, shift=options.shift)
     known = rectifier is not None or any(pair.calibration for pair in pairs)
-    views.report(
-        findings,
-        metric=files.needs_calibration or (known and bool(sinks.given)),
-        joined=left if any(pair.right is None for pair in pairs) else None,
-    )
+    views.report(findings, metric=files.needs_calibration or (known and bool(sinks.given)))
     make_folder(output)
     summary, stack = "", ExitStack()
     if ray is None:

@@ -20,6 +20,13 @@ if TYPE_CHECKING:
     from mobilestereonet.inference.rectify import Rectifier
 
 
+WAYS_TO_METRES = (
+    "--rig FILE; or --focal PX (or --fov DEGREES) and --baseline METRES; or, with predict, "
+    "--known COLUMN,ROW=METRES"
+)
+"""What gives a command its scale, for messages."""
+
+
 @dataclass(frozen=True)
 class RigFiles:
     """Options that name the files of a rig, and say what they do not tell."""
@@ -160,11 +167,11 @@ class CalibrationOptions(RigFiles):
                 raise InputError("--known is in place of --baseline: leave one of them out")
         elif self.given and self.baseline is None:
             focal = "--fov" if self.focal is None else "--focal"
-            raise InputError(f"{focal} needs --baseline, too")
+            raise InputError(f"{focal} needs --baseline METRES, too (or --known COLUMN,ROW=METRES)")
         elif self.baseline is not None and not self.given:
             raise InputError("--baseline needs --focal or --fov, too")
         if not self.given and self.doffs:
-            raise InputError("a calibration needs --rig FILE, or --focal and --baseline")
+            raise InputError(f"--doffs: a calibration needs {WAYS_TO_METRES}")
 
     @property
     def given(self) -> bool:

@@ -35,7 +35,7 @@ def demo(
     from mobilestereonet.data.sample import collate
     from mobilestereonet.errors import InputError
     from mobilestereonet.inference import RunInfo, StereoMatcher, StereoResult, load_pair
-    from mobilestereonet.inference.result import MAP_FILES
+    from mobilestereonet.inference.map_files import MAP_FILES
     from mobilestereonet.metrics import StereoMetrics, StereoScores
 
     sample = motorcycle()

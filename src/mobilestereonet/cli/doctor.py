@@ -8,6 +8,7 @@ import typer
 
 from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.options import AsJson, LeftView, SecondView
+from mobilestereonet.cli.views import LayoutFlags
 
 
 def doctor(
@@ -18,6 +19,7 @@ def doctor(
     ] = 192,
     as_json: AsJson = False,
     *,
+    views: LayoutFlags,
     files: RigFiles,
 ) -> None:
     """Say whether a pair is fit for stereo matching, and what to do.
@@ -33,8 +35,8 @@ def doctor(
     from mobilestereonet.inference.first_look import check_whole
 
     colours = {"good": "green", "fixed": "green", "problem": "red"}
-    rectifier, pair = files.read(), load_pair(left, right)
-    findings = check_whole(pair, max_disparity, rectifier)
+    rectifier, pair = files.read(), load_pair(left, right, layout=views.layout)
+    findings = check_whole(pair, max_disparity, rectifier, views.views)
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -152,6 +153,32 @@ Shift: TypeAlias = Annotated[
 ]
 
 
+def cpu_threads(asked: int | None, device: str) -> int | None:
+    """Threads on a CPU: those that are asked for, or fewer than all if the machine is busy.
+
+    Args:
+        asked: What the user says.
+        device: The device as the user says it.
+    """
+    from mobilestereonet.engines.devices import AUTO, torch_device
+
+    if asked is not None or (device if device != AUTO else torch_device(AUTO).type) != "cpu":
+        return asked
+    import torch
+
+    from mobilestereonet.engines.threads import fitting_threads
+
+    fitting, most = fitting_threads(), torch.get_num_threads()
+    if fitting == most:
+        return None
+    print(
+        f"msnet: machine busy, using {fitting} thread{'s' * (fitting > 1)} (--threads {most} "
+        "uses all)",
+        file=sys.stderr,
+    )
+    return fitting
+
+
 @dataclass(frozen=True)
 class NetworkOptions:
     """Options that choose a network, its weights and values of its config.
@@ -276,13 +303,14 @@ class MatcherOptions(NetworkOptions):
         from mobilestereonet.inference import StereoMatcher
 
         options = {"scale": self.scale, "shift": self.shift} | options
+        threads = self.threads if self.model == "sgbm" else cpu_threads(self.threads, self.device)
         if not self.is_standalone:
             options |= {"engine": self.runtime, "precision": self.precision}
             options["model"] = self.model if self.weights else None
         return StereoMatcher.from_pretrained(
             None if self.is_default else self.source,
             quality=self.quality,
-            threads=self.threads,
+            threads=threads,
             device=self.device,
             refine=self.refine,
             config=self.config,

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.early import ends_in
 from mobilestereonet.cli.engine import MatcherOptions, Precision
 from mobilestereonet.cli.scoring import ScoringOptions
@@ -19,6 +20,7 @@ def evaluate(
     scoring: ScoringOptions,
     *,
     options: MatcherOptions,
+    cameras: RigFiles,
     model: Annotated[
         list[str] | None,
         typer.Option(
@@ -52,9 +54,10 @@ def evaluate(
     ] = None,
     tables: TableOptions,
 ) -> None:
-    """Score models on a data set: EPE, D1 and bad-t over all its masks.
+    """Score models on a data set: EPE, D1, bad-t over all its masks.
 
-    Several models are compared in one more table, which -o writes for a paper.
+    Several models are compared in one more table, which -o writes for a paper. With --rig raw
+    views are rectified first; the ground truth is that of the rectified left view.
     """
     models: list[str | None] = [*model] if model else [None]
     if options.weights is not None and len(models) > 1:
@@ -75,7 +78,7 @@ def evaluate(
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.evaluation import legend, save_evaluations
 
-    pairs, printed = scoring.open(), scoring.printed()
+    pairs, printed, rectifier = scoring.open(), scoring.printed(), cameras.read()
     matchers = [scoring.open_matcher(chosen) for chosen in choices]
     files = [file for file in (json, csv, per_pair, tables.output) if file is not None]
     for folder in (pictures, *(file.parent for file in files)):
@@ -86,7 +89,7 @@ def evaluate(
     for matcher in matchers:
         name = matcher.model + (f" ({options.weights.name})" if options.weights else "")
         place = None if pictures is None else pictures / matcher.model
-        evaluations.append(scoring.score(matcher, pairs, name, place))
+        evaluations.append(scoring.score(matcher, pairs, name, place, rectifier))
         if tables.format is None:
             Console().print(evaluations[-1].table(legend=False))
     if tables.format is None:

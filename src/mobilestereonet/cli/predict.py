@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.calibration import WAYS_TO_METRES, CalibrationOptions
 from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
@@ -60,7 +60,7 @@ def predict(
 
     depth_files, point_files = depth or [], points or []
     if not cameras.given and (depth_files or point_files):
-        raise InputError("depth and points need --rig FILE, or --focal and --baseline")
+        raise InputError(f"depth and points need {WAYS_TO_METRES}")
     if cameras.given and not (cameras.rig or depth_files or point_files or rerun):
         raise InputError("a calibration is for --depth, --points or --rerun FILE: add one of them")
     filters.require(bool(depth_files or point_files or rerun))
@@ -69,13 +69,14 @@ def predict(
     from mobilestereonet.data.depth_files import write_depth
     from mobilestereonet.inference import load_pair
     from mobilestereonet.inference.first_look import put_right
-    from mobilestereonet.inference.result import MAP_FILES
+    from mobilestereonet.inference.map_files import MAP_FILES
+    from mobilestereonet.inference.span import Span
     from mobilestereonet.streams import RerunLog, StereoFrame
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
     check_outputs(*maps, *depth_files, *point_files)
     rectifier = cameras.read()
-    pair = load_pair(left, right, top_bottom=views.layout == "top-bottom")
+    pair = load_pair(left, right, layout=views.layout)
     pair = put_right(pair, views.views, rectifier, shift=options.shift)
     deep = cameras.given and bool(depth_files or point_files or rerun)
     views.report(pair.findings, metric=deep)
@@ -88,8 +89,10 @@ def predict(
     result = matcher.match(pair)
     calibration = calibration or cameras.scaled(result)
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
-    if calibration is not None and depth_files:
+    spans = {"disparity": Span.of(result.disparity[result.valid])}
+    if calibration is not None:
         metres = result.depth(calibration)
+        spans["depth"] = Span.of(metres[metres > 0])
         if not metres.any():
             print("msnet: no pixel has a depth: see the limits and the cameras", file=sys.stderr)
         for file in depth_files:
@@ -108,9 +111,13 @@ def predict(
     assert info is not None  # the matcher's results have one
     if as_json:
         findings = [asdict(finding) for finding in result.findings]
-        print(json.dumps({**asdict(info), "findings": findings, "files": files}, indent=2))
+        figures = {name: span and asdict(span) for name, span in spans.items()}
+        facts = {**asdict(info), **figures, "findings": findings, "files": files}
+        print(json.dumps(facts, indent=2))
         return
-    print(f"{info}: {info.seconds:.2f} s")
+    units = {"disparity": "px", "depth": "m"}
+    found = (f"{name} {span.within(units[name])}" for name, span in spans.items() if span)
+    print("; ".join([f"{info}: {info.seconds:.2f} s", *found]))
     for path in files.values():
         print(path)
 

@@ -10,6 +10,7 @@ import sys
 import traceback
 import warnings
 
+from mobilestereonet.cli.progress import LongWork
 from mobilestereonet.errors import InputError
 from mobilestereonet.memory import keep_freed_memory
 from mobilestereonet.text import shorten
@@ -51,11 +52,19 @@ def prepare_process() -> None:
 
 
 class _Notes(logging.Handler):
-    """Prints what takes long, so that it does not work in silence."""
+    """Prints messages, and what takes long, so that it does not work in silence."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._shown: list[LongWork] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one message."""
-        print(f"msnet: {record.getMessage()}", file=sys.stderr, flush=True)
+        """Print one message, or begin or end to show that work goes on; see `long_work`."""
+        text, work = record.getMessage(), getattr(record, "work", None)
+        if work == "begins":
+            self._shown.append(LongWork(text))
+        elif work is None or (self._shown and self._shown.pop().end()):
+            print(f"msnet: {text}", file=sys.stderr, flush=True)
 
 
 def report(error: Exception, *, debug: bool = False) -> int:

@@ -185,7 +185,8 @@ def _bag_pairs(bag: StereoBag) -> Iterator[_Raw]:
 def _pairs(left: str, right: str | None) -> Iterator[_Raw]:
     """Pairs of images, folders, videos or cameras."""
     from mobilestereonet.atomic import note_inputs
-    from mobilestereonet.streams import find_pairs, open_stream
+    from mobilestereonet.inference.first_look import ViewOptions
+    from mobilestereonet.streams import find_pairs, look_at_stream, open_stream
     from mobilestereonet.streams.open import is_still
 
     sources = [source for source in (left, right) if source is not None]
@@ -200,7 +201,10 @@ def _pairs(left: str, right: str | None) -> Iterator[_Raw]:
             except (InputError, OSError) as error:
                 yield _Raw(pair.name, None, str(error))
     else:
-        for frame in open_stream(left, right).frames:
+        stream = open_stream(left, right)
+        if right is None:  # which halves are views is found out; the rig tells the rest
+            _, stream = look_at_stream(stream, ViewOptions(order="left-right", rotate=0))
+        for frame in stream.frames:
             seen = frame.pair
             views = None if seen is None else (seen.left_image, seen.right_image)
             yield _Raw(frame.name, views, frame.problem)
@@ -210,6 +214,7 @@ def _read(left: Path, right: Path | None) -> tuple[Array, Array]:
     """Both views, with the bits of their files; without a right one the left file has both."""
     from mobilestereonet.data import read_image
     from mobilestereonet.data.image_files import read_frames
+    from mobilestereonet.inference.pair import layout_of
 
     if right is not None:
         return read_image(left), read_image(right)
@@ -217,9 +222,5 @@ def _read(left: Path, right: Path | None) -> tuple[Array, Array]:
     if len(frames) == 2:
         return frames[0], frames[1]
     width = frames[0].shape[1]
-    if width % 2:
-        raise InputError(
-            f"{left} is {width} px wide, and two views side by side need an even width: give the "
-            "right view, too, if this is the left one"
-        )
+    layout_of((width, frames[0].shape[0]), None, str(left))
     return frames[0][:, : width // 2], frames[0][:, width // 2 :]

@@ -17,7 +17,7 @@ from mobilestereonet.settings import parse_assignments
 if TYPE_CHECKING:
     from mobilestereonet.data import StereoDataSet
     from mobilestereonet.evaluation import Evaluation, EvaluationProtocol, ResultTable
-    from mobilestereonet.inference import StereoMatcher
+    from mobilestereonet.inference import Rectifier, StereoMatcher
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +110,17 @@ class ScoringOptions:
         pairs: StereoDataSet,
         name: str,
         pictures: Path | None = None,
+        rectifier: Rectifier | None = None,
     ) -> Evaluation:
-        """Score one matcher, with a progress bar on a terminal."""
+        """Score one matcher, with a progress bar on a terminal; see `evaluate`.
+
+        Args:
+            matcher: The matcher.
+            pairs: The data set.
+            name: Name of the model in the report.
+            pictures: Folder for one picture per pair.
+            rectifier: Rectifies the views, whose ground truth is rectified already.
+        """
         from rich.console import Console
         from rich.progress import track
 
@@ -130,7 +139,10 @@ class ScoringOptions:
             protocol = replace(protocol, padding=None)
         return evaluate(
             matcher.disparity,
-            (pairs[index] for index in indices),
+            (
+                pairs[index] if rectifier is None else rectifier.sample(pairs[index])
+                for index in indices
+            ),
             model=name,
             data_name=str(pairs),
             protocol=protocol,

@@ -127,13 +127,12 @@ class MatchedStream:
             source.fps,
             pair_by=source.pair_by,
             rectify=not raw,
-            top_bottom=views.layout == "top-bottom",
+            layout=views.layout,
             **asdict(topics),
         )
-        joined = right is None and not stream.live and not stream.topics
         findings, stream = look_at_stream(stream, views.views, rectifier, shift=options.shift)
         deep = rectifier is not None or stream.calibration is not None
-        views.report(findings, metric=deep and metric, joined=left if joined else None)
+        views.report(findings, metric=deep and metric)
         if hz is None:
             return cls(stream, filters.open_matcher(options, confidence=confidence), deep)
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ViewFlags:
-    """Options that say how the views lie, where the first look errs, and what it may stop."""
+class LayoutFlags:
+    """Options that say how the views lie, where the first look errs."""
 
     layout: Annotated[
         str | None,
@@ -44,12 +44,6 @@ class ViewFlags:
             callback=one_of(ROTATIONS),
         ),
     ] = None
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force", help="Write depth and points also of views that cannot give right ones."
-        ),
-    ] = False
 
     @property
     def views(self) -> ViewOptions:
@@ -58,17 +52,27 @@ class ViewFlags:
 
         return ViewOptions(self.layout, self.order, self.rotate)
 
-    def report(self, findings: Iterable[Finding], metric: bool, joined: str | None = None) -> None:
+
+@dataclass(frozen=True)
+class ViewFlags(LayoutFlags):
+    """Options that say how the views lie, and what the first look may stop."""
+
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Write depth and points also of views that cannot give right ones."
+        ),
+    ] = False
+
+    def report(self, findings: Iterable[Finding], metric: bool) -> None:
         """Say what the first look found.
 
         Args:
             findings: What it found.
             metric: Whether depth or points are asked for.
-            joined: Source whose pictures should have both views each; None if it is none.
 
         Raises:
-            InputError: If ``--force`` is not given, and metric outputs are asked for of views that
-                cannot give right ones; or ``joined`` shows no two views.
+            InputError: If they are, the views cannot give right ones, and ``--force`` is not given.
         """
         from mobilestereonet.inference.first_look import problems
 
@@ -76,13 +80,6 @@ class ViewFlags:
             if finding.level not in ("good", "unknown"):
                 print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
         wrong = problems(findings)
-        alone = joined is not None and self.layout is None and not self.force
-        if alone and any(finding.check == "overlap" for finding in wrong):
-            raise InputError(
-                f"{joined}: the halves of its picture show no common scene: give the right view's, "
-                "too, if this is the left one's; if it has both views, --layout side-by-side or "
-                "top-bottom"
-            )
         if metric and wrong and not self.force:
             raise InputError(
                 f"no depth and no points of such views ({wrong[0].check}): put them right, or say "

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.engine import Device, MatcherOptions, NetworkValues, Precision, Threads
 from mobilestereonet.errors import InputError
 
@@ -24,8 +25,13 @@ def web(
     max_megapixels: Annotated[float, typer.Option(help="Largest picture that is taken.")] = 2.1,
     max_megabytes: Annotated[int, typer.Option(help="Largest upload that is taken.")] = 20,
     queue: Annotated[int, typer.Option(help="Visitors who may wait.")] = 8,
+    *,
+    cameras: RigFiles,
 ) -> None:
-    """Serve a page to try pairs on, to this machine alone by default."""
+    """Serve a page to try pairs on, to this machine alone by default.
+
+    With --rig the pairs of one camera need no numbers: raw ones are rectified.
+    """
     import signal
     import sys
     from dataclasses import replace
@@ -54,6 +60,9 @@ def web(
             chosen = replace(options, runtime=engine, model=model)
         return chosen.open_matcher(confidence=True)
 
+    rectifier = cameras.read()
+    if rectifier is not None:  # where the server keeps its files is nobody's business
+        rectifier.rig = replace(rectifier.rig, name="the cameras of this page")
     if settings:  # a mistake is told now, not to the first visitor
         for name in embedded_models():
             load_model(name, config=options.config)
@@ -64,6 +73,7 @@ def web(
         matcher=matcher,
         examples=examples(),
         limits=UploadLimits(max_megabytes, round(max_megapixels * 1e6), queue),
+        rectifier=rectifier,
     )
     # So that files are deleted however the server is ended.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mobilestereonet.data.sizes import wrong_size
+from mobilestereonet.data.sizes import check_untold_size, wrong_size
 from mobilestereonet.errors import InputError
 
 
@@ -64,9 +65,16 @@ class Calibration:
         """Check that the calibration belongs to views of this size.
 
         Raises:
-            InputError: If it is known to be of another: depth would be wrong by the ratio.
+            InputError: If it is known to be of another: depth would be wrong by the ratio. Where
+                it tells no size, its principal point does, with a warning if it is not clear.
         """
-        if self.size is None or tuple(self.size) == (width, height):
+        if self.size is None:
+            if self.cx is not None and self.cy is not None:
+                doubt = check_untold_size(self.cx, self.cy, (width, height))
+                if doubt:
+                    warnings.warn(f"calibration: {doubt}", stacklevel=2)
+            return
+        if tuple(self.size) == (width, height):
             return
         raise wrong_size(self.size, (width, height), "the calibration is of views of")
 

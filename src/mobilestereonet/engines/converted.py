@@ -28,6 +28,7 @@ from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, StereoModel
 from mobilestereonet.nets.volume_model import VolumeModel
+from mobilestereonet.timing import long_work
 
 if TYPE_CHECKING:
     from mobilestereonet.accelerate.export import ExportableNet
@@ -186,22 +187,30 @@ class ConvertedEngine(NetworkEngine):
             if checksum == _checksum(model):
                 return self._load(model)
         shape = "any size" if size is None else f"{size[0]}x{size[1]}"
-        _LOG.info("converting the network for %s, %s: up to a minute, once", self.name, shape)
+        with long_work(_LOG, f"converting the network for {self.name}, {shape}, once"):
+            model = self._converted(size)
+        if kept:
+            with suppress(OSError, InputError):  # a cache that cannot be written is done without
+                write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
+                _forget_old(self._cache, self.name)
+        return self._load(model)
+
+    def _converted(self, size: Size | None) -> bytes:
+        """The network in the library's form.
+
+        Raises:
+            InputError: If the library's converter fails.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the converters' own business
             try:
-                model = self._convert(self._exportable(), size)
+                return self._convert(self._exportable(), size)
             except Exception as error:
                 reason = str(error).strip().split("\n")[0]
                 raise InputError(
                     f"{self.name} cannot convert this network: {type(error).__name__}: {reason}: "
                     "use engine torch"
                 ) from error
-        if kept:
-            with suppress(OSError, InputError):  # a cache that cannot be written is done without
-                write_atomically(path, lambda file: file.write_bytes(_checksum(model) + model))
-                _forget_old(self._cache, self.name)
-        return self._load(model)
 
     def _key(self, size: Size | None) -> str:
         """Digest of all that a conversion depends on."""

@@ -34,7 +34,7 @@ from mobilestereonet.inference.refine import refine_disparity
 from mobilestereonet.inference.subpixel import fit_subpixel
 from mobilestereonet.nets.model import Prediction, StereoModel
 from mobilestereonet.nets.volume_model import VolumeModel
-from mobilestereonet.timing import time_interleaved
+from mobilestereonet.timing import long_work, time_interleaved
 
 _LOG = logging.getLogger(__name__)
 
@@ -151,8 +151,8 @@ def export_model(
         refined=refine,
     )
     with _temporary(output) as path:
-        _LOG.info("%s: converting, which can take minutes", kind.name)
-        run = _convert(kind, Job(network, shape, precision, metadata, pairs), path)
+        with long_work(_LOG, f"{kind.name}: converting"):
+            run = _convert(kind, Job(network, shape, precision, metadata, pairs), path)
         export = Export(
             output,
             sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file()),
@@ -160,7 +160,10 @@ def export_model(
             any_size,
             size,
         )
-        return export if run is None else _compared(export, run, net, kind, precision, refine)
+        if run is None:
+            return export
+        with long_work(_LOG, f"{kind.name}: running it and comparing it with torch"):
+            return _compared(export, run, net, kind, precision, refine)
 
 
 def _check_output(output: Path, kind: Format) -> None:
@@ -197,7 +200,6 @@ def _compared(
     Raises:
         InputError: If they differ.
     """
-    _LOG.info("%s: running it and comparing it with torch", kind.name)
     plain = copy.deepcopy(net).float().cpu().eval()
 
     def reference(left: Tensor, right: Tensor) -> Prediction:

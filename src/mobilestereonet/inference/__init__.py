@@ -9,7 +9,8 @@ from mobilestereonet.inference.mesh import Mesh
 from mobilestereonet.inference.pair import ImageLike, StereoPair, load_pair
 from mobilestereonet.inference.quality import DEFAULT_MODEL, DEFAULT_QUALITY, QUALITIES, Quality
 from mobilestereonet.inference.rectify import Rectifier
-from mobilestereonet.inference.result import RunInfo, StereoResult
+from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference.run_info import RunInfo
 
 __all__ = [
     "DEFAULT_MODEL",

@@ -13,7 +13,7 @@ from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.features import Matches, Points
-from mobilestereonet.inference.pair import StereoPair
+from mobilestereonet.inference.pair import StereoPair, layout_of
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,9 @@ class Arrangement:
             return pair
         left, right = pair.left, pair.right
         pictures = pair.left_image, pair.right_image
-        if self.top_bottom and pair.joined:
-            if pair.height % 2:
-                raise InputError(
-                    f"the picture is {pair.height} px high, and two views one above the other need "
-                    "an even height: give them as two pictures"
-                )
+        layout = pair.layout
+        if self.top_bottom and layout == "side-by-side":
+            layout = layout_of((2 * pair.width, pair.height), "top-bottom", "the picture")
             left, right = torch.cat((left, right), dim=-1).chunk(2, dim=-2)
             halves = np.array_split(np.concatenate(pictures, axis=1), 2)
             pictures = halves[0], halves[1]
@@ -111,7 +108,7 @@ class Arrangement:
             right=right,
             left_image=left_image,
             right_image=right_image,
-            joined=pair.joined and not self.top_bottom,
+            layout=layout,
             calibration=calibration,
         )
 

@@ -149,7 +149,7 @@ def look_at(left: Picture, right: Picture, scale: float, search: Search | None =
     if reach < 0.5:
         text = f"nothing moves between the views (95 % of the features by less than {reach:.1f} px)"
         advice = "take two pictures from places side by side, not one twice"
-        return Look((Finding("views", "problem", text, advice),), matches=len(seen))
+        return Look((*findings, Finding("views", "problem", text, advice)), matches=len(seen))
     order = _order(disparity, search.lowest)
     swapped = is_swapped(disparity - search.lowest)
     findings += [_rectified(vertical, height / scale, 1 / scale), order]

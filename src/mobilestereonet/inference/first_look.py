@@ -10,16 +10,14 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference.arrangement import AS_GIVEN, Arrangement, Turn
 from mobilestereonet.inference.checks import Look, Search, check_pair, look_at, quick_checks
 from mobilestereonet.inference.finding import Finding
-from mobilestereonet.inference.pair import StereoPair
+from mobilestereonet.inference.pair import LAYOUTS, StereoPair
 from mobilestereonet.inference.rectify import Rectifier
 
-LAYOUTS = ("side-by-side", "top-bottom")
 ORDERS = ("left-right", "right-left")
 ROTATIONS = (0, 90, 180, 270)
 
 _LOOK_SIZE_PX = 640
 """Longer side to which larger pictures are scaled down for the first look."""
-
 
 _STACKED = Finding(
     "layout",
@@ -98,6 +96,8 @@ def first_look(
     if options.order is not None:
         found = replace(found, swapped=False)
     findings += [_after(finding, found, options, raw) for finding in look.findings]
+    if options.layout is None:
+        findings += _not_two_views(pair, look.findings)
     turns = (found.right, found.left) if start.swapped else (found.left, found.right)
     return (
         Arrangement(
@@ -118,34 +118,87 @@ def put_right(
     max_disparity: float = math.inf,
     shift: int = 0,
 ) -> StereoPair:
-    """A pair after the first look, rectified and with its findings; see `first_look`."""
+    """A pair after the first look, rectified and with its findings; see `first_look`.
+
+    Raises:
+        InputError: If one picture was given, and it is not one with two views.
+    """
     arrangement, findings = first_look(
         pair, options, rectifier, max_disparity=max_disparity, shift=shift
     )
+    require_two_views(findings)
     pair = arrangement(pair)
     return replace(pair if rectifier is None else rectifier.pair(pair), findings=findings)
 
 
 def check_whole(
-    pair: StereoPair, max_disparity: int, rectifier: Rectifier | None = None
+    pair: StereoPair,
+    max_disparity: int,
+    rectifier: Rectifier | None = None,
+    options: ViewOptions | None = None,
 ) -> list[Finding]:
     """All checks of a pair at full size, as it was given: what is wrong is not put right.
 
-    One picture with both views is split as its content says.
+    One picture with both views is split as its content says, unless the user does.
 
     Args:
         pair: The pair as it was given.
         max_disparity: Disparities that the network searches, in px.
         rectifier: What rectifies it, or has its calibration.
+        options: What the user says about the views.
     """
-    findings = list(pair.findings)
-    if _is_stacked(pair, AS_GIVEN):
-        pair = Arrangement(top_bottom=True)(pair)
+    options = options or ViewOptions()
+    start, findings = options.arrangement, list(pair.findings)
+    if options.layout is None and _is_stacked(pair, start):
+        start = replace(start, top_bottom=True)
         findings.append(_STACKED)
+    pair = start(pair)
     if rectifier is not None:
         pair = rectifier.pair(pair)
     doffs = 0.0 if pair.calibration is None else pair.calibration.doffs
-    return [*findings, *check_pair(pair.left_image, pair.right_image, max_disparity, doffs)]
+    found = check_pair(pair.left_image, pair.right_image, max_disparity, doffs)
+    if options.layout is None:
+        findings += _not_two_views(pair, found)
+    return [*findings, *found]
+
+
+def require_two_views(findings: Iterable[Finding], name: str = "") -> None:
+    """Check that one picture with both views was found to be one.
+
+    Args:
+        findings: What was found at it.
+        name: What messages call it.
+
+    Raises:
+        InputError: If it was not.
+    """
+    for finding in problems(findings):
+        if finding.check == "layout":
+            raise InputError(f"{name}{': ' * bool(name)}{finding.text}: {finding.advice}")
+
+
+def _not_two_views(pair: StereoPair, found: Iterable[Finding]) -> list[Finding]:
+    """What is said of one picture, or of its source, if its halves show no common scene.
+
+    Halves of one view may be alike if one is mirrored: many things are symmetric.
+
+    Args:
+        pair: The pair as it came.
+        found: What was found at the two halves.
+    """
+    unlike = [f for f in found if f.check in ("overlap", "geometry", "content", "orientation")]
+    unlike = [finding for finding in unlike if finding.level in ("problem", "unknown")]
+    if not pair.layout or not unlike:
+        return []
+    return [
+        Finding(
+            "layout",
+            "problem",
+            f"the picture's halves are not two views of one scene ({unlike[0].text})",
+            "give the right view, too, if it is the left one; that it has both views, --layout "
+            f"{pair.layout} says",
+        )
+    ]
 
 
 def findings_of(pair: StereoPair) -> tuple[Finding, ...]:
@@ -179,7 +232,7 @@ def _look(pair: StereoPair, size: int, search: Search | None = None) -> Look:
 
 def _is_stacked(pair: StereoPair, start: Arrangement) -> bool:
     """Whether a picture's upper and lower half have more in common than its left and right one."""
-    if not pair.joined or pair.height % 2:
+    if pair.layout != "side-by-side" or pair.height % 2:
         return False
     plain = replace(pair, calibration=None)
     beside, stacked = (

@@ -32,7 +32,8 @@ from mobilestereonet.inference.predict import Tile, match_pairs, predict_dispari
 from mobilestereonet.inference.pretrained import misspelt_options, open_model
 from mobilestereonet.inference.quality import DEFAULT_QUALITY, Quality, find_quality
 from mobilestereonet.inference.rectify import Rectifier
-from mobilestereonet.inference.result import RunInfo, StereoResult
+from mobilestereonet.inference.result import StereoResult
+from mobilestereonet.inference.run_info import RunInfo
 from mobilestereonet.nets import StereoModel, VolumeModel, model_name
 from mobilestereonet.nets.model import Prediction
 

@@ -19,6 +19,9 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.finding import Finding
 
+LAYOUTS = ("side-by-side", "top-bottom")
+"""How both views may lie in one picture."""
+
 ImageLike: TypeAlias = "str | Path | NDArray[Any] | Tensor | PILImage"
 """One image of a pair: a file, an array, a tensor or a PIL image; `load_pair` says which ones."""
 
@@ -33,8 +36,8 @@ class StereoPair:
         left_image: Left view for pictures, (H, W, 3) uint8 RGB.
         right_image: Right view, likewise.
         findings: What was put right while the views were read.
-        joined: Whether both views came in one picture, which was split into halves side by side,
-            so that it may still turn out to have one above the other.
+        layout: How both views lay in the one picture that was split into them, one of `LAYOUTS`;
+            empty if two pictures were given.
         calibration: Geometry of the views, if a rig tells it.
     """
 
@@ -43,7 +46,7 @@ class StereoPair:
     left_image: Picture
     right_image: Picture
     findings: tuple[Finding, ...] = ()
-    joined: bool = False
+    layout: str = ""
     calibration: Calibration | None = None
 
     @property
@@ -58,7 +61,7 @@ class StereoPair:
 
 
 def load_pair(
-    left: ImageLike, right: ImageLike | None = None, *, top_bottom: bool = False
+    left: ImageLike, right: ImageLike | None = None, *, layout: str | None = None
 ) -> StereoPair:
     """Read and check a pair.
 
@@ -69,8 +72,8 @@ def load_pair(
             or by what `white_level` finds for both views; floating point must lie in 0..1. An
             alpha channel is dropped. Files and PIL images are turned as their EXIF asks.
         right: Right view, likewise. Without it ``left`` has both views: an MPO, or one picture
-            with both side by side.
-        top_bottom: One picture has the left view above the right one, not beside it.
+            with both.
+        layout: How both views lie in one picture, one of `LAYOUTS`; by default side by side.
 
     Returns:
         The pair; its findings say what was put right.
@@ -81,7 +84,7 @@ def load_pair(
             values that are NaN or out of range, or if the sizes differ.
     """
     if right is None:
-        return _load_joined(left, top_bottom)
+        return _load_joined(left, layout)
     names = [
         str(view) if isinstance(view, str | Path) else f"{side} view"
         for view, side in ((left, "left"), (right, "right"))
@@ -98,7 +101,7 @@ def load_pair(
     return StereoPair(left, right, left_image, right_image, tuple(_put_right(views, white)))
 
 
-def _load_joined(both: ImageLike, top_bottom: bool) -> StereoPair:
+def _load_joined(both: ImageLike, layout: str | None) -> StereoPair:
     """Read a pair from one file or picture."""
     if isinstance(both, str | Path):
         frames = read_frames(both)
@@ -107,20 +110,41 @@ def _load_joined(both: ImageLike, top_bottom: bool) -> StereoPair:
     view = _read(both, str(both) if isinstance(both, str | Path) else "the picture")
     levels = view.levels
     rows = levels.ndim - 2 if isinstance(levels, Tensor) else 0
-    axis = rows if top_bottom else rows + 1
-    side = levels.shape[axis] if levels.ndim > 1 else 0
-    if side % 2 or not side:
-        size, need = f"{side} px wide", "side by side need an even width"
-        if top_bottom:
-            size, need = f"{side} px high", "one above the other need an even height"
-        raise InputError(
-            f"{view.name} is {size}, and two views {need}: give the right view, too, if this is "
-            "the left one"
-        )
+    height, width = levels.shape[rows : rows + 2] if levels.ndim > 1 else (0, 0)
+    found = layout_of((width, height), layout, view.name)
+    axis = rows if found == "top-bottom" else rows + 1
     left, right = levels.chunk(2, axis) if isinstance(levels, Tensor) else np.split(levels, 2, axis)
     pair = load_pair(left, right)
     findings = (*_put_right([view], 65535), *pair.findings)
-    return replace(pair, findings=findings, joined=not top_bottom)
+    return replace(pair, findings=findings, layout=found)
+
+
+def layout_of(size: tuple[int, int], layout: str | None, name: str) -> str:
+    """How one picture of a width and height is split into both views, one of `LAYOUTS`.
+
+    Args:
+        size: Width and height in px.
+        layout: How the user says; by default side by side.
+        name: What messages call the picture.
+
+    Raises:
+        InputError: If the side that is halved is odd.
+    """
+    layout = layout or "side-by-side"
+    stacked = layout == "top-bottom"
+    side, other = size[::-1] if stacked else size
+    if side % 2 or not side:
+        text, need = f"{side} px wide", "side by side need an even width"
+        hint = "--layout top-bottom says that one is above the other"
+        if stacked:
+            text, need = f"{side} px high", "one above the other need an even height"
+            hint = "--layout side-by-side says that they are beside each other"
+        or_so = "" if other % 2 else f"; {hint}"
+        raise InputError(
+            f"{name} is {text}, and two views {need}: give the right view, too, if this is the "
+            f"left one{or_so}"
+        )
+    return layout
 
 
 def load_batch(pairs: Iterable[tuple[ImageLike, ImageLike] | StereoPair]) -> list[StereoPair]:

@@ -15,7 +15,7 @@ from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
 from mobilestereonet.data.rig.cameras import Matrix, Rectification, Size
 from mobilestereonet.data.rig.rectified import from_cameras
-from mobilestereonet.data.sample import Calibration
+from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.fisheye import fisheye_rectification
 from mobilestereonet.inference.pair import StereoPair
@@ -97,13 +97,7 @@ class Rectifier:
         maps = self._maps_of((pair.width, pair.height))
         if isinstance(maps, Calibration):
             return replace(pair, calibration=maps)
-        left, right = (
-            torch.from_numpy(cv2.remap(_rows(view), *where, interpolation=cv2.INTER_LINEAR))
-            .permute(2, 0, 1)
-            .contiguous()
-            .to(view.device)
-            for view, where in ((pair.left, maps.left), (pair.right, maps.right))
-        )
+        left, right = _remapped(pair.left, maps.left), _remapped(pair.right, maps.right)
         return replace(
             pair,
             left=left,
@@ -112,6 +106,30 @@ class Rectifier:
             right_image=to_picture(right),
             calibration=maps.calibration,
         )
+
+    def sample(self, sample: StereoSample) -> StereoSample:
+        """Rectify the views of a sample, whose ground truth is that of the rectified left view.
+
+        Raises:
+            InputError: If the rig is of pictures of other sizes, the sample tells that its views
+                are rectified, or the ground truth has another size than the rectified views.
+        """
+        maps = self._maps_of((sample.left.shape[-1], sample.left.shape[-2]))
+        if isinstance(maps, Calibration):
+            return replace(sample, calibration=maps)
+        if sample.calibration is not None:
+            raise InputError(
+                f"{sample.name}: its views are rectified already, as its data set tells, and the "
+                "rig is of raw ones: leave --rig out"
+            )
+        left, right = _remapped(sample.left, maps.left), _remapped(sample.right, maps.right)
+        if sample.disparity is not None and sample.disparity.shape != left.shape[-2:]:
+            sizes = [f"{view.shape[-1]}x{view.shape[-2]}" for view in (sample.disparity, left)]
+            raise InputError(
+                f"{sample.name}: the ground truth has {sizes[0]}, the rectified views {sizes[1]}: "
+                "it must be that of the rectified left view"
+            )
+        return replace(sample, left=left, right=right, calibration=maps.calibration)
 
     def calibration(self, size: Size) -> Calibration:
         """Calibration of the rectified views of pictures of a width and height.
@@ -196,6 +214,12 @@ def _distortion_maps(
         camera.matrix, camera.distortion, rotation, projection[:, :3], size, cv2.CV_32FC1
     )
     return np.asarray(x), np.asarray(y)
+
+
+def _remapped(view: Tensor, where: tuple[Image, Image]) -> Tensor:
+    """A view (3, H, W) whose pixels come from other places."""
+    rows = np.asarray(cv2.remap(_rows(view), *where, interpolation=cv2.INTER_LINEAR))
+    return torch.from_numpy(rows).permute(2, 0, 1).contiguous().to(view.device)
 
 
 def _rows(view: Tensor) -> Image:

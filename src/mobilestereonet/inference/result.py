@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +13,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilestereonet.data.calibration import read_calibration
-from mobilestereonet.data.disparity_files import KITTI_SCALE, write_disparity_png
-from mobilestereonet.data.files import write_npy, write_pfm, write_png
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
@@ -28,69 +25,16 @@ from mobilestereonet.inference.geometry import (
     point_cloud,
     point_map,
 )
+from mobilestereonet.inference.map_files import save_maps
 from mobilestereonet.inference.mesh import Mesh, surface
+from mobilestereonet.inference.run_info import RunInfo
 from mobilestereonet.plots import colour_disparity, plot_maps, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MAP_FILES = {
-    "png": "disparity.png",
-    "pfm": "disparity.pfm",
-    "npy": "disparity.npy",
-    "picture": "picture.png",
-    "confidence": "confidence.png",
-    "confidence_npy": "confidence.npy",
-    "right_png": "right_disparity.png",
-    "right_npy": "right_disparity.npy",
-    "occluded": "occluded.png",
-}
-"""Ends of the names of all files that `StereoResult.save` may write, by kind."""
-
-MAX_PNG_DISPARITY_PX = 65535 / KITTI_SCALE
-"""Largest disparity that a 16-bit PNG holds."""
-
 _MAX_NOTEBOOK_WIDTH = 1280
 """Pixels; a wider picture of a result is scaled down where a notebook shows it."""
-
-
-@dataclass(frozen=True)
-class RunInfo:
-    """How a result was computed, and how long it took.
-
-    Attributes:
-        model: Name of the model.
-        engine: Name of the engine that ran it.
-        precision: Precision that it computed in, such as ``fp32`` or ``bf16``.
-        device: Device that it ran on, such as ``cpu``.
-        refined: Whether the disparity was refined, see `mobilestereonet.inference.predict`.
-        width: Width of the views in px.
-        height: Height of the views in px.
-        seconds: Time from the checked pair to the maps, in s: a pair's share of its batch.
-        quality: Quality level that chose the model and its settings; None where none did.
-        scale: Factor of height and width in which the pair was matched.
-        shift: Disparity from which the search began, in px.
-    """
-
-    model: str
-    engine: str
-    precision: str
-    device: str
-    refined: bool
-    width: int
-    height: int
-    seconds: float
-    quality: str | None = None
-    scale: float = 1.0
-    shift: int = 0
-
-    def __str__(self) -> str:
-        model = f"{self.quality} ({self.model})" if self.quality else self.model
-        if self.scale != 1:
-            model += f" at {self.scale:g} of the size"
-        if self.shift:
-            model += f" shifted by {self.shift} px"
-        return f"{model} on {self.engine} {self.precision}, {self.width}x{self.height}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -356,29 +300,12 @@ class StereoResult:
             the right view's disparity: ``right_png`` and ``right_npy`` likewise, ``occluded``
             (8 bit, 255 where occluded).
         """
-        folder = Path(folder)
-        disparity = np.where(self.valid, self.disparity, np.float32(np.inf))
-        files: dict[str, tuple[Callable[[Path, NDArray[Any]], None], NDArray[Any]]] = {
-            "png": (_write_storable, disparity),
-            "pfm": (write_pfm, disparity),
-            "npy": (write_npy, disparity),
-            "picture": (write_png, self.picture()),
-        }
-        if self.confidence is not None:
-            grey = np.rint(255 * self.confidence).astype(np.uint8)
-            files["confidence"] = (write_png, grey)
-            files["confidence_npy"] = (write_npy, self.confidence)
-        if self.right_disparity is not None:
-            files["right_png"] = (_write_storable, self.right_disparity)
-            files["right_npy"] = (write_npy, self.right_disparity)
-        if self.occluded is not None:
-            files["occluded"] = (write_png, np.uint8(255) * self.occluded)
-        paths = {}
-        for kind, (write, values) in files.items():
-            paths[kind] = folder / f"{stem}_{MAP_FILES[kind]}"
-            write(paths[kind], values)
-        return paths
-
-
-def _write_storable(path: Path, disparity: FloatMap) -> None:
-    write_disparity_png(path, disparity, disparity <= MAX_PNG_DISPARITY_PX)
+        return save_maps(
+            Path(folder),
+            stem,
+            disparity=np.where(self.valid, self.disparity, np.float32(np.inf)),
+            picture=self.picture(),
+            confidence=self.confidence,
+            right_disparity=self.right_disparity,
+            occluded=self.occluded,
+        )

@@ -63,7 +63,7 @@ def match_pairs(
         InputError: If depth is asked for and a pair has no calibration.
         OSError: If a file cannot be written.
     """
-    read = read_pairs(pairs, top_bottom=arrangement.top_bottom)
+    read = read_pairs(pairs, layout="top-bottom" if arrangement.top_bottom else None)
     frames: Iterable[StereoFrame] = prefetch(prepared(read, rectifier, arrangement))
     if files.needs_calibration:
         frames = _check_calibrations(frames)

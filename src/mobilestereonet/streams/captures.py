@@ -29,23 +29,23 @@ def _is_number(source: str) -> bool:
     return source.isascii() and source.isdecimal()
 
 
-def open_captures(sources: Sequence[str]) -> Stream:
+def open_captures(sources: Sequence[str], layout: str | None = None) -> Stream:
     """Open a stereo camera, or two cameras.
 
     A live capture does not wait: if matching is slower, frames are dropped. What is read from
     a file (``file://...``) waits.
 
     Args:
-        sources: One capture with both views side by side, or two: numbers of cameras, devices or
-            addresses.
+        sources: One capture with both views, or two: numbers of cameras, devices or addresses.
+        layout: How both views lie in one capture, see `load_pair`.
 
     Raises:
-        InputError: If one cannot be opened; if two differ in size; if one alone has an odd width.
+        InputError: If one cannot be opened; if two differ in size; if one alone cannot be halved.
     """
     live = not all(source.startswith("file://") for source in sources)
     captures = [_open(source) for source in sources]
-    check_sizes(sources, [_size(capture) for capture in captures])
-    frames = _frames(sources, captures, live)
+    check_sizes(sources, [_size(capture) for capture in captures], layout)
+    frames = _frames(sources, captures, live, layout)
     return Stream(latest_only(frames) if live else frames, None, live)
 
 
@@ -83,7 +83,9 @@ def _keep_in_step(captures: Sequence[Any], dropped: list[int]) -> list[int]:
             return [late]
 
 
-def _frames(sources: Sequence[str], captures: Sequence[Any], live: bool) -> Generator[StereoFrame]:
+def _frames(
+    sources: Sequence[str], captures: Sequence[Any], live: bool, layout: str | None
+) -> Generator[StereoFrame]:
     started = time.monotonic()
     dropped = [0 for _ in captures]
     try:
@@ -116,7 +118,7 @@ def _frames(sources: Sequence[str], captures: Sequence[Any], live: bool) -> Gene
             pictures = [
                 cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if whole else None for whole, image in taken
             ]
-            yield make_frame(index, seconds, pictures)
+            yield make_frame(index, seconds, pictures, layout)
     finally:
         for capture in captures:
             capture.release()

@@ -11,7 +11,12 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier
 from mobilestereonet.inference.arrangement import Arrangement
 from mobilestereonet.inference.finding import Finding
-from mobilestereonet.inference.first_look import ViewOptions, first_look, problems
+from mobilestereonet.inference.first_look import (
+    ViewOptions,
+    first_look,
+    problems,
+    require_two_views,
+)
 from mobilestereonet.streams.pairs import PairFiles, read_pairs
 from mobilestereonet.streams.stream import StereoFrame, Stream, first_pair, rectify_frames
 
@@ -32,11 +37,16 @@ def look_at_stream(
         shift: Disparity from which on a network searches, in px.
 
     Raises:
-        InputError: If the frames are rectified already, or their calibration cannot follow what
-            puts them right.
+        InputError: If the frames are rectified already, their calibration cannot follow what
+            puts them right, or one source was given that does not show two views.
     """
     seen, stream = _look(stream, options, rectifier, shift)
     arrangement, findings = seen.arrangement, seen.findings
+    try:
+        require_two_views(findings, seen.name)
+    except InputError:
+        stream.frames.close()
+        raise
     pair = None if seen.frame is None else seen.frame.pair
     # What holds for all frames; each has those of its own reading and of its quick checks.
     lasting = [
@@ -68,12 +78,14 @@ def look_at_pairs(
         shift: Disparity from which on a network searches, in px.
 
     Raises:
-        InputError: If the pairs are rectified already.
+        InputError: If the pairs are rectified already, or are of one file each that does not show
+            two views.
     """
-    top_bottom = options is not None and options.layout == "top-bottom"
-    read = Stream(read_pairs(pairs, top_bottom=top_bottom), None)
+    layout = None if options is None else options.layout
+    read = Stream(read_pairs(pairs, layout=layout), None)
     seen, stream = _look(read, options, rectifier, shift)
     stream.frames.close()
+    require_two_views(seen.findings, seen.name)
     return seen.findings, seen.arrangement
 
 
@@ -146,9 +158,16 @@ class _Seen:
     findings: tuple[Finding, ...] = ()
 
     @property
+    def name(self) -> str:
+        """What messages call it."""
+        return "" if self.frame is None else self.frame.name
+
+    @property
     def shows_something(self) -> bool:
-        """Whether more can be told than that the views are empty or damaged."""
-        return all(finding.check != "content" for finding in problems(self.findings))
+        """Whether more can be told than that the views are empty, damaged or without texture."""
+        wrong = {finding.check for finding in problems(self.findings)}
+        unknown = {finding.check for finding in self.findings if finding.level == "unknown"}
+        return "content" not in wrong and not ("layout" in wrong and "geometry" in unknown)
 
 
 def _look(

@@ -18,7 +18,7 @@ from mobilestereonet.data.images import FloatMap
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoPair, StereoResult
-from mobilestereonet.inference.result import MAX_PNG_DISPARITY_PX
+from mobilestereonet.inference.map_files import MAX_PNG_DISPARITY_PX
 from mobilestereonet.streams.laser import Pose, write_laser_points
 from mobilestereonet.streams.pairs import PairFiles
 

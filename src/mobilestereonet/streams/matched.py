@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from mobilestereonet.inference import Rectifier, StereoMatcher, StereoResult
+from mobilestereonet.inference.first_look import ViewOptions
 from mobilestereonet.streams.batch import match_frames
 from mobilestereonet.streams.look import look_at_stream
 from mobilestereonet.streams.open import open_stream
@@ -52,13 +53,14 @@ def match_stream(
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
-        InputError: If the source cannot be opened, or tells that its pictures are rectified while
-            the rectifier is of raw ones.
+        InputError: If the source cannot be opened, does not show two views, or tells that its
+            pictures are rectified while the rectifier is of raw ones.
     """
     if not isinstance(source, Stream):
         raw = rectifier is not None and rectifier.rectifies
         source = open_stream(str(source), rectify=not raw, **options)
-    _, stream = look_at_stream(source, rectifier=rectifier, shift=matcher.shift)
+    views = ViewOptions(layout=options.get("layout"))
+    _, stream = look_at_stream(source, views, rectifier, shift=matcher.shift)
     stream = as_live(stream) if drop else stream
     frames = stream.frames if stream.live else prefetch(stream.frames)
     with closing(frames):

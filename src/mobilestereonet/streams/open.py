@@ -30,16 +30,15 @@ def open_stream(
     tolerance: float = TOLERANCE_S,
     pair_by: str | None = None,
     rectify: bool = True,
-    top_bottom: bool = False,
+    layout: str | None = None,
 ) -> Stream:
     """Open a video, a camera, a bag or an image sequence.
 
     Args:
         left: A video file; the number of a camera, its device or an address; or, for an image
-            sequence, a folder or a pattern. Without ``right`` it shows both views side by side,
-            or has MPO files.
-            Or a bag, which has both views as topics; or ``realsense:``, ``oak:`` or ``zed:``, see
-            `open_device`.
+            sequence, a folder or a pattern. Without ``right`` it shows both views, or has MPO
+            files. Or a bag, which has both views as topics; or ``realsense:``, ``oak:`` or
+            ``zed:``, see `open_device`.
         right: The same of the right view.
         fps: Frames per second of an image sequence.
         left_topic: Topic of a bag's left images.
@@ -47,7 +46,7 @@ def open_stream(
         tolerance: Largest difference between the stamps of a pair of a bag, in s.
         pair_by: How an image sequence is paired, see `find_pairs`.
         rectify: Whether raw pictures of a bag are rectified by its camera_info, see `open_bag`.
-        top_bottom: Pictures of a sequence without ``right`` have one view above the other.
+        layout: How both views lie in one picture, see `load_pair`.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
@@ -73,9 +72,11 @@ def open_stream(
         if any(map(is_kind, sources)):
             if not all(map(is_kind, sources)):
                 raise InputError(f"{left} and {right}: only one of them is among {kind}")
-            return open_captures(sources) if kind == "captures" else open_videos(sources)
+            if kind == "captures":
+                return open_captures(sources, layout)
+            return open_videos(sources, layout)
     pairs = joined_files(left) if right is None else pair_folders(left, right, pair_by)
-    return Stream(read_pairs(pairs, fps, top_bottom=top_bottom), len(pairs))
+    return Stream(read_pairs(pairs, fps, layout=layout), len(pairs))
 
 
 def is_still(source: str) -> bool:

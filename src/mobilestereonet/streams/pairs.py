@@ -212,19 +212,19 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def read_pairs(
-    pairs: Iterable[PairFiles], fps: float = 1.0, *, top_bottom: bool = False
+    pairs: Iterable[PairFiles], fps: float = 1.0, *, layout: str | None = None
 ) -> Generator[StereoFrame]:
     """Read pairs one after the other; what cannot be read becomes a frame with a problem.
 
     Args:
         pairs: Their files.
         fps: Pairs per second of the stream.
-        top_bottom: Files that have both views have the left one above the right one.
+        layout: How both views lie in one file, see `load_pair`.
     """
     for index, files in enumerate(pairs):
         pair, problem = None, ""
         try:
-            pair = load_pair(files.left, files.right, top_bottom=top_bottom)
+            pair = load_pair(files.left, files.right, layout=layout)
         except (InputError, OSError) as error:
             problem = str(error)
         yield StereoFrame(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference.pair import StereoPair, load_pair
+from mobilestereonet.inference.pair import StereoPair, layout_of, load_pair
 from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.streams.laser import Pose
 from mobilestereonet.streams.overlap import latest_only
@@ -142,7 +142,9 @@ def rectify_frames(frames: Generator[StereoFrame], rectifier: Rectifier) -> Gene
             yield frame
 
 
-def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -> StereoFrame:
+def make_frame(
+    index: int, seconds: float, pictures: Sequence[Picture | None], layout: str | None = None
+) -> StereoFrame:
     """Make a frame of the pictures that one or two cameras took at a moment.
 
     One that cannot be used has a ``problem`` and stops nothing.
@@ -151,7 +153,8 @@ def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -
         index: Its number.
         seconds: Time at which it is shown, in s.
         pictures: Both views, (H, W, 3) RGB or (H, W) grey, uint8 or uint16, or one picture with
-            both side by side; None where it cannot be read.
+            both; None where it cannot be read.
+        layout: How both views lie in one picture, see `load_pair`.
     """
     whole = [picture for picture in pictures if picture is not None]
     pair, problem = None, ""
@@ -159,28 +162,27 @@ def make_frame(index: int, seconds: float, pictures: Sequence[Picture | None]) -
         problem = "the picture is damaged"
     else:
         try:
-            pair = load_pair(*whole)
+            pair = load_pair(*whole, layout=layout)
         except InputError as error:  # the source changed its size on the way
             problem = str(error)
     return StereoFrame(index, f"{index:06d}", seconds, pair, problem)
 
 
-def check_sizes(names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:
+def check_sizes(
+    names: Sequence[str], sizes: Sequence[tuple[int, int]], layout: str | None = None
+) -> None:
     """Refuse sources that cannot hold two views, before the first frame is read.
 
     Args:
         names: What messages call them.
-        sizes: Width and height of the left and the right source, or of one that has both views
-            side by side.
+        sizes: Width and height of the left and the right source, or of one that has both views.
+        layout: How both views lie in one picture, see `load_pair`.
 
     Raises:
-        InputError: If two differ in size, or one alone has an odd width.
+        InputError: If two differ in size, or one alone cannot be halved.
     """
-    if len(sizes) == 1 and sizes[0][0] % 2:
-        raise InputError(
-            f"{names[0]} is {sizes[0][0]} px wide, and two views side by side need an even width: "
-            "give the right camera's video, too, if this is the left one's"
-        )
+    if len(sizes) == 1:
+        layout_of(sizes[0], layout, names[0])
     if len(set(sizes)) > 1:
         facts = [f"{name} has {size[0]}x{size[1]}" for name, size in zip(names, sizes, strict=True)]
         raise InputError(f"the two views must have one size: {', '.join(facts)}")

@@ -131,24 +131,25 @@ def _upright(frame: Any) -> Picture:
     return np.ascontiguousarray(np.rot90(stored, _quarter_turns(frame)))
 
 
-def open_videos(paths: Sequence[str | Path]) -> Stream:
-    """Open a side-by-side video, or the videos of the left and the right camera.
+def open_videos(paths: Sequence[str | Path], layout: str | None = None) -> Stream:
+    """Open a video with both views, or the videos of the left and the right camera.
 
     Frames of two videos are paired by their time stamps: rates may differ, and frames be lost. A
     warning says how many have no partner.
 
     Args:
         paths: One or two files.
+        layout: How both views lie in one video, see `load_pair`.
 
     Raises:
         FileNotFoundError: If a file does not exist.
         InputError: If one is no video; if two differ in size or have no moment in common; if one
-            alone has an odd width.
+            alone cannot be halved.
     """
     videos = [VideoFile(path) for path in paths]
-    check_sizes([str(video.path) for video in videos], [video.size for video in videos])
+    check_sizes([str(video.path) for video in videos], [video.size for video in videos], layout)
     if len(videos) == 1:
-        return Stream(_frames(videos[0]), len(videos[0].stamps))
+        return Stream(_frames(videos[0], layout), len(videos[0].stamps))
     left, right = videos
     started = [float(video.stamps[0] * video.tick) for video in videos]
     late = started[1] - started[0]
@@ -176,9 +177,9 @@ def open_videos(paths: Sequence[str | Path]) -> Stream:
     return Stream(_paired_frames(left, right, pairs), len(pairs))
 
 
-def _frames(video: VideoFile) -> Generator[StereoFrame]:
+def _frames(video: VideoFile, layout: str | None) -> Generator[StereoFrame]:
     for index, (seconds, picture) in enumerate(video):
-        yield make_frame(index, seconds, [picture])
+        yield make_frame(index, seconds, [picture], layout)
 
 
 def _paired_frames(

@@ -96,26 +96,34 @@ class Answer:
     notes: list[str]
 
 
-def answer(session: Session, matcher: StereoMatcher, geometry: Geometry) -> Answer:
+def answer(
+    session: Session,
+    matcher: StereoMatcher,
+    geometry: Geometry,
+    rectifier: Rectifier | None = None,
+) -> Answer:
     """Match the pictures that a session holds.
 
     Args:
         session: Has a ``left`` and a ``right`` picture; gets an ``answer``, in place of a former.
         matcher: The matcher.
         geometry: Calibration and limits of the points.
+        rectifier: Rectifies the pair, or has its calibration, where the geometry has none.
 
     Raises:
         InputError: If a picture is missing or damaged, the sizes differ, or the calibration is
             bad.
     """
     calibration = geometry.calibration()
-    rectifier = None if calibration is None else Rectifier(Rig((calibration,), "the calibration"))
+    if calibration is not None:
+        rectifier = Rectifier(Rig((calibration,), "the calibration"))
     pair = put_right(
         _load(session),
         rectifier=rectifier,
         max_disparity=matcher.max_disparity,
         shift=matcher.shift,
     )
+    calibration = pair.calibration
     result = matcher.match(pair)
     started = time.perf_counter()
     notes = [str(finding) for finding in pair.findings if finding.level not in ("good", "unknown")]

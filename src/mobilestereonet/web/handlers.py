@@ -16,7 +16,7 @@ from mobilestereonet.data.files import write_png
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.inference import Rectifier, StereoMatcher
 from mobilestereonet.web.answer import CLOUD, Geometry, answer
 from mobilestereonet.web.sessions import Sessions
 from mobilestereonet.web.uploads import UploadLimits, admit
@@ -32,6 +32,7 @@ class PageConfig:
         matcher: Makes a matcher of a model's and an engine's name.
         examples: Pairs with calibration.
         limits: Limits of uploads and visitors.
+        rectifier: Has the geometry of pairs for which the visitor fills in none.
     """
 
     models: list[str]
@@ -39,6 +40,7 @@ class PageConfig:
     matcher: Callable[[str, str], StereoMatcher]
     examples: list[StereoSample]
     limits: UploadLimits
+    rectifier: Rectifier | None = None
 
 
 @contextmanager
@@ -118,7 +120,8 @@ class Handlers:
             progress(0.1, desc=f"Loading {model}")
             matcher = self._matcher(model, engine)
             progress(0.3, desc="Matching")
-            found = answer(self.sessions[request.session_hash], matcher, geometry)
+            session = self.sessions[request.session_hash]
+            found = answer(session, matcher, geometry, self.config.rectifier)
         notes = "".join(f"\n- {html.escape(note)}" for note in found.notes)
         return [
             found.summary + ("\n\n**Mind:**\n" + notes if notes else ""),

@@ -127,10 +127,11 @@ def _pair_inputs(config: PageConfig) -> tuple[Any, Any, Any]:
 
 
 def _settings(config: PageConfig) -> tuple[list[Any], list[Any]]:
+    known = " Left empty, this page's cameras are taken." if config.rectifier else ""
     gr.Markdown(
         "### 2. The cameras\nFrom your calibration, for pictures of this size; doffs is the "
         "principal points' difference, mostly 0. Without focal length and baseline there is a "
-        "disparity, but no depth in metres and no 3D."
+        f"disparity, but no depth in metres and no 3D.{known}"
     )
     with gr.Row():
         focal = gr.Number(0, label="Focal, px", min_width=90, elem_id="focal")

@@ -26,6 +26,11 @@ _KNOWN_RADIUS_PX = 2
 _ASSUMED = "square pixels, the principal point in the middle, rectified views"
 
 
+def _assumed(doffs: float) -> str:
+    """What is assumed of cameras that nobody has calibrated."""
+    return _ASSUMED if doffs else f"{_ASSUMED}, doffs 0 (cameras that do not converge)"
+
+
 @dataclass(frozen=True, eq=False)
 class AssumedRig(Rig):
     """Geometry of rectified pictures of any size with one field of view.
@@ -54,7 +59,7 @@ class AssumedRig(Rig):
     def assumption(self) -> str:
         """What was assumed, in words."""
         return (
-            f"assumed: {_ASSUMED}, {self.field_of_view:g} degrees wide, from cameras "
+            f"assumed: {_assumed(self.doffs)}, {self.field_of_view:g} degrees wide, from cameras "
             f"{self.baseline:g} m apart"
         )
 
@@ -152,6 +157,7 @@ class KnownDistance:
         calibration = Calibration(focal_px, self.metres * shifted / focal_px, doffs)
         wide = f", {told:g} degrees wide" if focal is None and field_of_view is None else ""
         return calibration, (
-            f"assumed: {_ASSUMED}{wide}; {self.metres:g} m at a disparity of {shifted - doffs:.2f} "
-            f"px is --focal {focal_px:.6g} --baseline {calibration.baseline:.6g}"
+            f"assumed: {_assumed(doffs)}{wide}; {self.metres:g} m at a disparity of "
+            f"{shifted - doffs:.2f} px is --focal {focal_px:.6g} --baseline "
+            f"{calibration.baseline:.6g}"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -26,6 +27,9 @@ MAX_ROTATION_ERROR = 5e-3
 
 MIN_FOCAL_PER_WIDTH = 0.05
 """Shortest focal length that is believed, per width: a view of 169 degrees."""
+
+MAX_VIEW_DEG = 155.0
+"""Widest horizontal view of a picture that is not one of a fisheye lens."""
 
 _IDENTITY = np.eye(3)
 
@@ -140,7 +144,7 @@ class CameraPair:
             raise wrong_size(self.size, size, "the cameras were calibrated at")
         for camera, side in ((self.left, "left"), (self.right, "right")):
             check_principal_point(camera.matrix, size, side)
-            check_focal_lengths(camera.matrix, size, side)
+            check_focal_lengths(camera.matrix, size, side, fisheye=camera.fisheye)
 
     def resized(self, size: Size) -> CameraPair:
         """The same cameras, their pictures resized to another width and height."""
@@ -224,7 +228,7 @@ def check_principal_point(matrix: Matrix, size: Size, side: str) -> None:
         )
 
 
-def check_focal_lengths(matrix: Matrix, size: Size, side: str) -> None:
+def check_focal_lengths(matrix: Matrix, size: Size, side: str, *, fisheye: bool = False) -> None:
     """Check that a camera's focal lengths are in pixels of pictures of this size.
 
     Raises:
@@ -236,6 +240,13 @@ def check_focal_lengths(matrix: Matrix, size: Size, side: str) -> None:
         raise InputError(
             f"the {side} camera's focal lengths are {fx:g} and {fy:g} for pictures of "
             f"{width}x{height}: they must be in pixels, not in millimetres"
+        )
+    view = math.degrees(2 * math.atan(width / 2 / fx))
+    if view > MAX_VIEW_DEG and not fisheye:
+        raise InputError(
+            f"the {side} camera's focal length of {fx:g} px gives pictures of {width}x{height} a "
+            f"view of {view:.0f} degrees: is it of pictures of another size, or of a fisheye lens "
+            "(--fisheye)? --fov DEGREES --baseline METRES confirms so wide a view"
         )
 
 

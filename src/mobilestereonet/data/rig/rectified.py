@@ -119,13 +119,12 @@ def from_q(q: Matrix, told: Told, unit: str = "m", size: Size | None = None) -> 
 
 
 def check_views(calibration: Calibration, size: Size) -> None:
-    """Check that a calibration can be of views of a size.
+    """Check that a calibration can be of views of a size, if it does not tell another one.
 
     Raises:
-        InputError: If it is of another one; or if it tells no size, and its principal point is
-            outside, as it may be of views that were cropped.
+        InputError: If the focal length cannot be of such views; or if it tells no size, and its
+            principal point is outside, as it may be of views that were cropped.
     """
-    calibration.require_size(*size)
     (fx, fy), (cx, cy) = calibration.focal_lengths, calibration.principal_point(*size)
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     check_focal_lengths(matrix, size, "left")

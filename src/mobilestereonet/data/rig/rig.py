@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from mobilestereonet.data.rig.camera_info import pair_of_infos
 from mobilestereonet.data.rig.cameras import CameraPair, Size
 from mobilestereonet.data.rig.description import Geometry
+from mobilestereonet.data.rig.doubts import doubts
 from mobilestereonet.data.rig.formats import describe
 from mobilestereonet.data.rig.rectified import check_views
 from mobilestereonet.data.rig.told import Told
@@ -117,7 +119,7 @@ class Rig:
             raise InputError(f"{name}: {error}") from None
 
     def geometry(self, size: Size, *, rectified: bool | None = None) -> Geometry:
-        """The geometry of pictures of a size.
+        """The geometry of pictures of a size; what is unusual in it becomes a warning.
 
         Args:
             size: Width and height of the pictures in px.
@@ -172,8 +174,11 @@ class Rig:
                 geometry.check_size(size)
             else:
                 check_views(geometry, size)
+            unusual = list(doubts(geometry, size))
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from None
+        for doubt in unusual:
+            warnings.warn(f"{self.name}: {doubt}", stacklevel=4)
         return geometry
 
     def resized(self, size: Size) -> Rig:
