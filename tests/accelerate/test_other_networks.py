@@ -11,9 +11,10 @@ from torch import nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from mobilestereonet.accelerate import accelerate, semi_global
-from mobilestereonet.accelerate.batched import _group_means, _shifted_sums
+from mobilestereonet.accelerate.batched import _shifted_sums
 from mobilestereonet.accelerate.correlation import BandedCorrelation1D, BandedCostSignatures
 from mobilestereonet.accelerate.depthwise import depthwise_conv3d
+from mobilestereonet.accelerate.group_correlation import group_means
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax, _soft_argmax
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import Prediction, StereoModel, build_model
@@ -226,7 +227,8 @@ def test_custom_operators_are_well_formed(channels_last):
 
     check = torch.library.opcheck
     check(depthwise_conv3d, (tensor(2, 8, 4, 5, 6), tensor(8, 1, 3, 3, 3), 2))
-    check(_group_means, (tensor(2, 8, 4, 9), tensor(2, 8, 4, 9), 5, 4))
+    for start in (None, torch.randint(0, 3, (2, 4, 9))):
+        check(group_means, (tensor(2, 8, 4, 9), tensor(2, 8, 4, 9), start, 5, 4))
     check(_shifted_sums, (*(tensor(2, 6, 4, 9) for _ in range(4)), 5))
     check(_soft_argmax, (tensor(2, 6, 4, 9), True))
 

@@ -5,7 +5,8 @@ import torch
 import torch.nn.functional as F
 
 from mobilestereonet.accelerate import accelerate
-from mobilestereonet.accelerate.batched import BatchedCorrelation, BatchedLearnedVolume
+from mobilestereonet.accelerate.batched import BatchedLearnedVolume
+from mobilestereonet.accelerate.group_correlation import BatchedCorrelation
 from mobilestereonet.accelerate.soft_argmax import ClosedFormSoftArgmax
 from mobilestereonet.nets import build_model
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume

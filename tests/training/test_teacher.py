@@ -11,10 +11,12 @@ from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.nets import IMAGENET
+from mobilestereonet.nets.volume_model import Band, VolumeOutputs
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import Request, TrainingPairs
 from mobilestereonet.training.losses import distillation_sum
 from mobilestereonet.training.module import StereoModule
+from mobilestereonet.training.objective import Objective
 from mobilestereonet.training.pool import PairPool, TrainingBatch
 from mobilestereonet.training.recipe import Recipe
 from mobilestereonet.training.run import train
@@ -127,6 +129,21 @@ def test_loss_of_an_equal_is_zero_and_far_disparities_count_by_distribution_only
     divergence = (target * (target.log() - found)).sum(1)
     expected = 2 * 16 * (divergence * weight[:, 2::4, 2::4]).sum()
     assert loss(other, disparity) == pytest.approx(float(expected), rel=1e-4)
+
+
+def test_of_a_cascade_only_what_was_searched_learns():
+    net = create_model("msnet3d-cascade", max_disparity=128)
+    scores = torch.randn(1, 32, 8, 12, requires_grad=True)
+    start = torch.zeros(1, 8, 12, dtype=torch.int64)
+    outputs = VolumeOutputs([scores], None, net.regression, Band(start, 16))
+    disparity = torch.full((1, 32, 48), 20.0)
+    disparity[:, :, 24:] = 100
+    objective = Objective(replace(RECIPE, model="msnet3d-cascade"), net)
+    part = objective.taught(net, outputs, torch.randn(1, 32, 8, 12), disparity, disparity / 100)
+    part.total.backward()
+    assert part.pixels == pytest.approx(0.2 * 32 * 24)
+    assert scores.grad[..., :6].abs().amin() > 0
+    assert not scores.grad[..., 7:].any()  # upsampling reaches one pixel further
 
 
 class Numbers(Dataset):

@@ -15,8 +15,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.accelerate.planewise import correlated_band, per_view
-from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
+from mobilestereonet.accelerate.planewise import per_view
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, LearnedVolume
 from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.volume_model import VolumeModel
 
@@ -36,78 +36,6 @@ class BatchedMobileStereoNet(MobileStereoNet):
         """See `MobileStereoNet.view_features`."""
         views: Tensor = self.reduction(self.features(torch.cat((left, right))))
         return views.chunk(2)
-
-
-class BatchedCorrelation(Correlation):
-    """`Correlation` in channels last, each product made once in either direction.
-
-    Autograd through slices would add up 2 D padded gradients, in the features' own precision.
-    """
-
-    def __init__(self, volume: Correlation) -> None:
-        super().__init__(volume.groups)
-
-    def forward(
-        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
-    ) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``; see `Correlation`."""
-        if start is not None:
-            band = correlated_band(left, right, start, planes, self.groups)
-            rows_last = [plane.permute(0, 2, 3, 1) for plane in band]
-            return torch.stack(rows_last, dim=1).permute(0, 4, 1, 2, 3)
-        volume: Tensor = _group_means(left, right, planes, self.groups)
-        return volume
-
-
-@torch.library.custom_op("mobilestereonet::group_means", mutates_args=())
-def _group_means(left: Tensor, right: Tensor, planes: int, groups: int) -> Tensor:
-    left, right = (view.permute(0, 2, 3, 1).contiguous() for view in (left, right))
-    batch, height, width, _ = left.shape
-    volume = left.new_zeros(batch, planes, height, width, groups)
-    for i in range(min(planes, width)):
-        product = left[:, :, i:] * right[:, :, : width - i]
-        volume[:, i, :, i:] = product.unflatten(-1, (groups, -1)).mean(dim=-1)
-    return volume.permute(0, 4, 1, 2, 3)
-
-
-@_group_means.register_fake
-def _(left: Tensor, right: Tensor, planes: int, groups: int) -> Tensor:
-    batch, _, height, width = left.shape
-    return left.new_empty(batch, planes, height, width, groups).permute(0, 4, 1, 2, 3)
-
-
-@torch.library.custom_op("mobilestereonet::group_means_backward", mutates_args=())
-def _group_means_backward(grad: Tensor, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-    groups, planes = grad.shape[1:3]
-    grad = grad.permute(0, 2, 3, 4, 1).unsqueeze(-1)
-    views = [view.permute(0, 2, 3, 1).unflatten(-1, (groups, -1)) for view in (left, right)]
-    width, share = left.shape[-1], groups / left.shape[1]
-    dtype = torch.promote_types(left.dtype, torch.float32)
-    totals = [torch.zeros_like(view, dtype=dtype) for view in views]
-    for i in range(min(planes, width)):
-        plane, end = grad[:, i, :, i:], width - i
-        totals[0][:, :, i:].addcmul_(plane, views[1][:, :, :end], value=share)
-        totals[1][:, :, :end].addcmul_(plane, views[0][:, :, i:], value=share)
-    grad_left, grad_right = (
-        total.flatten(-2).permute(0, 3, 1, 2).to(left.dtype) for total in totals
-    )
-    return grad_left, grad_right
-
-
-@_group_means_backward.register_fake
-def _(grad: Tensor, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(left), torch.empty_like(right)
-
-
-def _keep_views(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-    ctx.save_for_backward(*inputs[:2])
-
-
-def _group_means_gradient(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-    return *_group_means_backward(grad, *ctx.saved_tensors), None, None
-
-
-_group_means.register_autograd(_group_means_gradient, setup_context=_keep_views)
 
 
 class BatchedLearnedVolume(nn.Module):

@@ -5,6 +5,7 @@ What is left has no training mode. See ``docs/how-it-works.md``, "Exact accelera
 
 from __future__ import annotations
 
+from functools import partial
 from typing import cast
 
 import torch
@@ -19,11 +20,11 @@ from mobilestereonet.accelerate.correlation import (
     count_bits_by_products,
 )
 from mobilestereonet.accelerate.fused import fuse_convolutions
+from mobilestereonet.accelerate.group_correlation import StackedCorrelation
 from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.planewise import (
-    PlanewiseCorrelation,
     PlanewiseLearnedVolume,
     StackedPlanes,
 )
@@ -58,6 +59,7 @@ def inference_form(net: StereoModel) -> StereoModel:
             volume_by_planes(net)
             columns_first(net)
             process_by_rows(net)
+        replace_modules(net, Correlation, partial(StackedCorrelation, columns_first=False))
         fuse_convolutions(net)
         convert_conv3d_weight_memory_format(net, torch.channels_last_3d)
     # With 3D convolutions in channels last a GPU was slower than with the plain formulation.
@@ -88,7 +90,7 @@ def drop_training_heads(net: MobileStereoNet) -> None:
 
 
 def volume_by_planes(net: MobileStereoNet) -> None:
-    """Compute the cost volume plane by plane, in 2D convolutions. After `fold_norms`."""
+    """Compute the cost volume in parts that stay in a cache. After `fold_norms`."""
     in_columns = net.config.dims == 3
     replace_modules(
         net,
@@ -98,7 +100,7 @@ def volume_by_planes(net: MobileStereoNet) -> None:
     replace_modules(
         net,
         Correlation,
-        lambda volume: StackedPlanes(PlanewiseCorrelation(volume), columns_first=in_columns),
+        partial(StackedCorrelation, columns_first=in_columns),
     )
 
 

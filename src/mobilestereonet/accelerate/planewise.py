@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, Correlation, LearnedVolume
+from mobilestereonet.nets.cost_volumes import REDUCED_CHANNELS, LearnedVolume
 
 
 class PlanewiseLearnedVolume(nn.Module):
@@ -98,88 +98,25 @@ def _steps(conv: nn.Conv3d, steps: int) -> nn.Sequential:
     return nn.Sequential(_conv2d(weight, bias, padding=(1, 1), groups=steps), nn.ReLU(inplace=True))
 
 
-class PlanewiseCorrelation(nn.Module):
-    """`Correlation`, one plane after the other, channels last."""
-
-    def __init__(self, volume: Correlation) -> None:
-        super().__init__()
-        self.groups = volume.groups
-
-    def forward(
-        self, left: Tensor, right: Tensor, planes: int, start: Tensor | None = None
-    ) -> Iterator[Tensor]:
-        """(B, C, H, W) twice -> so many planes (B, groups, H, W)."""
-        if start is not None:
-            yield from correlated_band(left, right, start, planes, self.groups)
-            return
-        batch, _, height, width = left.shape
-        left, right = by_member(left, self.groups), by_member(right, self.groups)
-        for i in range(min(planes, width)):
-            plane = (left[:, :, i:] * right[:, :, : width - i]).mean(dim=3)
-            yield F.pad(plane, (0, 0, i, 0)).permute(0, 3, 1, 2)
-        for _ in range(width, planes):
-            yield left.new_zeros(batch, self.groups, height, width)
-
-
-def by_member(view: Tensor, groups: int) -> Tensor:
-    """(B, C, H, W) -> (B, H, W, members, groups): sums over members run along all groups."""
-    view = view.permute(0, 2, 3, 1).unflatten(3, (groups, -1))
-    return view.transpose(3, 4).contiguous()
-
-
-def correlated_band(
-    left: Tensor, right: Tensor, start: Tensor, planes: int, groups: int
-) -> Iterator[Tensor]:
-    """`band_volume` of a `Correlation`, one plane after the other, channels last.
-
-    The features of a pixel are one row of memory, so that its partner is the copy of a row.
-
-    Args:
-        left: Features of the left views, (B, C, H, W).
-        right: Features of the right views, likewise.
-        start: First disparity of each pixel's band, (B, H, W) int64.
-        planes: Number of disparities of the band.
-        groups: Groups of the correlation.
-
-    Yields:
-        Planes (B, groups, H, W).
-    """
-    batch, _, height, width = left.shape
-    left, right = by_member(left, groups), by_member(right, groups).flatten(0, 2)
-    pixel = torch.arange(batch * height * width, device=start.device).view(start.shape)
-    column = torch.arange(width, device=start.device)
-    for i in range(planes):
-        shift = start + i
-        partner = right.index_select(0, (pixel - shift.minimum(column)).flatten())
-        plane = (left * partner.view(left.shape)).mean(dim=3)
-        yield (plane * (shift <= column).unsqueeze(3)).permute(0, 3, 1, 2)
-
-
 class StackedPlanes(nn.Module):
     """The volume of a planewise cost volume, in the memory order of the encoder.
 
-    With ``columns_first`` that is by columns, disparities, rows and channels, else by disparities,
-    rows, columns and channels.
+    With ``columns_first`` that is by columns, disparities and rows, else by disparities, rows and
+    columns.
     """
 
-    def __init__(
-        self, volume: PlanewiseLearnedVolume | PlanewiseCorrelation, *, columns_first: bool
-    ) -> None:
+    def __init__(self, volume: PlanewiseLearnedVolume, *, columns_first: bool) -> None:
         super().__init__()
         self.volume = volume
         self.columns_first = columns_first
 
-    def forward(self, left: Tensor, right: Tensor, planes: int, *start: Tensor) -> Tensor:
-        """(B, C, H, W) twice -> (B, groups, D, H, W), D being ``planes``; see `Correlation`."""
-        result: Tensor | None = None
-        for index, plane in enumerate(self.volume(left, right, planes, *start)):
-            if result is None:
-                result = self._empty(plane, planes)
-            result[:, :, index] = plane
-        return cast(Tensor, result)
-
-    def _empty(self, plane: Tensor, planes: int) -> Tensor:
-        batch, groups, height, width = plane.shape
+    def forward(self, left: Tensor, right: Tensor, planes: int) -> Tensor:
+        """(B, 32, H, W) twice -> (B, 1, D, H, W), D being ``planes``."""
+        batch, _, height, width = left.shape
         if self.columns_first:
-            return plane.new_empty(batch, width, planes, height, groups).permute(0, 4, 2, 3, 1)
-        return plane.new_empty(batch, planes, height, width, groups).movedim(-1, 1)
+            result = left.new_empty(batch, 1, width, planes, height).permute(0, 1, 3, 4, 2)
+        else:
+            result = left.new_empty(batch, 1, planes, height, width)
+        for index, plane in enumerate(self.volume(left, right, planes)):
+            result[:, :, index] = plane
+        return result

@@ -9,13 +9,10 @@ from torch.nn.utils import (
     convert_conv3d_weight_memory_format,
 )
 
-from mobilestereonet.accelerate.batched import (
-    BatchedCorrelation,
-    BatchedLearnedVolume,
-    BatchedMobileStereoNet,
-)
+from mobilestereonet.accelerate.batched import BatchedLearnedVolume, BatchedMobileStereoNet
 from mobilestereonet.accelerate.correlation import correlate_by_products
 from mobilestereonet.accelerate.depthwise import fast_depthwise, has_triton
+from mobilestereonet.accelerate.group_correlation import BatchedCorrelation
 from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import replace_modules, sharing_copy
 from mobilestereonet.accelerate.norm_activation import fuse_activations

@@ -101,6 +101,8 @@ class Objective:
     ) -> Part:
         """What a teacher says, each pixel counting as far as the teacher is sure of it.
 
+        Of a cascade those count whose disparity, by the teacher, lies in their band.
+
         Args:
             net: The network that gave ``outputs``.
             outputs: What it gave in training mode.
@@ -108,6 +110,7 @@ class Objective:
             teacher_disparity: The teacher's disparity (B, H, W) in px.
             confidence: The teacher's confidence (B, H, W) in 0..1.
         """
+        confidence = confidence * outputs.searched(teacher_disparity)
         total = distillation_sum(
             outputs.scores,
             net.weights_of(outputs.scores),
