@@ -141,7 +141,6 @@ def test_of_a_cascade_only_what_was_searched_learns():
     objective = Objective(replace(RECIPE, model="msnet3d-cascade"), net)
     part = objective.taught(net, outputs, torch.randn(1, 32, 8, 12), disparity, disparity / 100)
     part.total.backward()
-    assert part.pixels == pytest.approx(0.2 * 32 * 24)
     assert scores.grad[..., :6].abs().amin() > 0
     assert not scores.grad[..., 7:].any()  # upsampling reaches one pixel further
 

@@ -10,8 +10,6 @@ planes around the coarse answer of each pixel.
 
 from __future__ import annotations
 
-import math
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -26,8 +24,20 @@ A convolution takes the i-th plane of a pixel's band with the i-th of its neighb
 4 planes, which is what the hourglasses reduce to one, more pixels are wrong.
 """
 
+BAND_MARGIN = 2
+"""Planes at either end of a band whose probability counts less when a band is chosen."""
+
 BAND_WINDOW = 3
-"""Pixels of the coarse pass, in height and width, that choose a band together."""
+"""Pixels of the coarse pass, in height and width, whose probability is averaged."""
+
+AGREEMENT_WINDOW = 9
+"""Pixels of the coarse pass, in height and width, that a pixel's band agrees with."""
+
+AGREEMENT_ROUNDS = 4
+"""How often bands are chosen anew after those of their neighbours."""
+
+AGREEMENT_SHARPNESS = 8.0
+"""Factor of a band's rating before the softmax over the bands."""
 
 OUTSIDE_BAND = -2.0
 """Score of planes outside of a pixel's band, relative to the lowest inside."""
@@ -68,8 +78,11 @@ def upsample_coarse(values: Tensor) -> Tensor:
 def band_start(scores: Tensor, planes: int) -> Tensor:
     """Where the band of each pixel starts: around the likeliest disparities of the coarse pass.
 
-    Of all bands the one that holds most of the probability, weighted by half a sine wave with its
-    peak in the band's centre, on the mean over 3 x 3 pixels of the coarse pass.
+    A band's rating is the probability that it holds, on the mean over 3 x 3 pixels of the coarse
+    pass; the two outermost planes on either side count a quarter and three quarters. Where several
+    bands hold a surface, neighbours choose the same one: a few rounds of mean field inference in a
+    Potts model, in which the share of each band among the neighbours is added to its rating
+    (Kraehenbuehl and Koltun, NeurIPS 2011, here with 9 x 9 equal neighbours).
 
     Args:
         scores: Scores of the coarse pass, (B, D / 2, H / 8, W / 8).
@@ -82,17 +95,24 @@ def band_start(scores: Tensor, planes: int) -> Tensor:
     weights = band_weights(2 * scores.shape[1], planes).to(scores.device, dtype)
     # A plane of the coarse pass counts as the two that it covers.
     weights = F.interpolate(weights[:, None], scale_factor=0.5, mode="linear")[:, 0]
-    bands = F.conv2d(scores.to(dtype).softmax(dim=1), weights[..., None, None])
-    bands = F.avg_pool2d(bands, BAND_WINDOW, 1, BAND_WINDOW // 2, count_include_pad=False)
-    bands = F.interpolate(bands, scale_factor=2.0, mode="bilinear", align_corners=False)
-    return BAND_STEP * bands.argmax(dim=1)
+    held = F.conv2d(scores.to(dtype).softmax(dim=1), weights[..., None, None])
+    rating = held = _neighbours_mean(held, BAND_WINDOW)
+    for _ in range(AGREEMENT_ROUNDS):
+        shares = (AGREEMENT_SHARPNESS * rating).softmax(dim=1)
+        rating = held + _neighbours_mean(shares, AGREEMENT_WINDOW)
+    rating = F.interpolate(rating, scale_factor=2.0, mode="bilinear", align_corners=False)
+    return BAND_STEP * rating.argmax(dim=1)
+
+
+def _neighbours_mean(values: Tensor, window: int) -> Tensor:
+    return F.avg_pool2d(values, window, 1, window // 2, count_include_pad=False)
 
 
 def band_weights(planes: int, band: int) -> Tensor:
     """Weight of each of the planes in each possible band: (number of bands, planes)."""
-    bump = [math.sin(math.pi * (i + 0.5) / band) for i in range(band)]
+    inner = [min(1.0, (min(i, band - 1 - i) + 0.5) / BAND_MARGIN) for i in range(band)]
     starts = range(0, planes - band + 1, BAND_STEP)
-    rows = [[0.0] * start + bump + [0.0] * (planes - band - start) for start in starts]
+    rows = [[0.0] * start + inner + [0.0] * (planes - band - start) for start in starts]
     return torch.tensor(rows, dtype=torch.float64)
 
 

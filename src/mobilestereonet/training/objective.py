@@ -101,7 +101,7 @@ class Objective:
     ) -> Part:
         """What a teacher says, each pixel counting as far as the teacher is sure of it.
 
-        Of a cascade those count whose disparity, by the teacher, lies in their band.
+        Of a cascade both passes learn, the fine one where the teacher's disparity is in its band.
 
         Args:
             net: The network that gave ``outputs``.
@@ -110,17 +110,18 @@ class Objective:
             teacher_disparity: The teacher's disparity (B, H, W) in px.
             confidence: The teacher's confidence (B, H, W) in 0..1.
         """
-        confidence = confidence * outputs.searched(teacher_disparity)
-        total = distillation_sum(
-            outputs.scores,
-            net.weights_of(outputs.scores),
-            self.trained_heads(outputs).disparity,
-            teacher_scores,
-            teacher_disparity,
-            confidence,
-            cross_entropy=self.recipe.cross_entropy,
-            scale=net.regression.scale,
-        )
+        total = confidence.new_zeros(())
+        for weight, part in outputs.passes:
+            total = total + weight * distillation_sum(
+                part.scores,
+                net.weights_of(part.scores),
+                self.trained_heads(part).disparity,
+                teacher_scores,
+                teacher_disparity,
+                confidence * part.searched(teacher_disparity),
+                cross_entropy=self.recipe.cross_entropy,
+                scale=net.regression.scale,
+            )
         return Part(total, confidence.sum(), {})
 
     def trained_heads(self, outputs: Any) -> Any:
