@@ -90,7 +90,7 @@ def _loss_and_derivative(
     scores: Tensor, wanted: Tensor, counted: Tensor, loss: Tensor, derivative: Tensor
 ) -> None:
     """Fill in the loss (B, H, W), and what each score (B, D, H, W) changes of it."""
-    m = intervals(scores, "mean")
+    m = intervals(scores)
     total = m.total
     torch.sub(counted * (total.log() + m.peak), (wanted * scores).sum(dim=1), out=loss)
     # A fine term at o px from its interval's centre weighs the two planes 1/2 -+ o/4.

@@ -26,6 +26,7 @@ from mobilestereonet.accelerate.modules import replace_modules
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.soft_argmax import (
     CONFIDENCE_RADIUS_PX,
+    MIN_MODE_PROBABILITY,
     Estimator,
     SoftArgmax,
     dominant_mode,
@@ -33,6 +34,9 @@ from mobilestereonet.nets.soft_argmax import (
 
 SCALE = 4
 """The upsampling for which the closed form is written."""
+
+MIN_EIGHTH = -80.0
+"""Least eighth of a score below the peak: the fine terms beside a lone peak stay above zero."""
 
 _CACHED_ELEMENTS = 1 << 17
 """Elements of a temporary that stays in the processor's cache."""
@@ -120,7 +124,8 @@ class Intervals(NamedTuple):
 
     mass: Tensor  # (B, D - 1, H, W)
     first: Tensor  # first moment of the disparity about the interval's centre
-    inner: Tensor  # sum of the two inner terms
+    sides: Tensor  # the two inner terms are this ...
+    product: Tensor  # ... times this
     below: Tensor  # (B, H, W), the two fine terms below the first plane
     above: Tensor  # the two above the last plane
     peak: Tensor  # (B, H, W), the score whose exponential all sums are over
@@ -131,30 +136,47 @@ class Intervals(NamedTuple):
         """The softmax's denominator, (B, H, W), over the peak's exponential."""
         return self.mass.sum(dim=1) + self.below + self.above
 
+    @property
+    def inner(self) -> Tensor:
+        """Sum of the two inner terms, (B, D - 1, H, W)."""
+        return self.sides * self.product
 
-def intervals(scores: Tensor, estimator: Estimator) -> Intervals:
-    """Sums over the fine terms of scores (B, D, H, W), as `closed_form` takes them."""
-    low, high = scores[:, :-1], scores[:, 1:]
-    rise = high - low
-    gap = rise.abs()
-    best = torch.maximum(low, high) - gap / 8  # the largest fine score
-    peak = best.amax(dim=1, keepdim=True)
-    peak = torch.maximum(peak, torch.maximum(scores[:, :1], scores[:, -1:]))
-    e, r = torch.exp(best - peak), torch.exp(-gap / 4)
-    squares = 1 + r * r
-    mass = e * (1 + r) * squares
-    first = e * torch.sign(rise) * (1 - r) * (1.5 * squares + 2 * r)
-    inner = e * r * (1 + r)
-    below, above = (2 * torch.exp(plane - peak[:, 0]) for plane in (scores[:, 0], scores[:, -1]))
+    def dominant(self) -> Intervals:
+        """The same of the dominant mode alone."""
+        masses = (self.below.unsqueeze(1), self.mass, self.above.unsqueeze(1))
+        keep = dominant_mode(torch.cat(masses, dim=1))
+        between = keep[:, 1:-1]
+        return self._replace(
+            mass=self.mass * between,
+            first=self.first * between,
+            sides=self.sides * between,
+            below=self.below * keep[:, 0],
+            above=self.above * keep[:, -1],
+        )
+
+
+def intervals(scores: Tensor) -> Intervals:
+    """Sums over the fine terms of scores (B, D, H, W), as `closed_form` takes them.
+
+    Between planes whose scores have the exponentials p^8 and q^8 the fine terms are p^7 q, p^5 q^3,
+    p^3 q^5 and p q^7: with a = p^2 and b = q^2 their sum is p q (a + b) (a^2 + b^2). Exact unless
+    a lone plane's score is more than 640 above all others': its disparity is then its own.
+    """
+    peak = scores.amax(dim=1, keepdim=True)
+    eighth = (scores - peak).div_(8).clamp_min_(MIN_EIGHTH).exp_()
+    quarter = eighth * eighth
+    half = quarter * quarter
+    low, high = quarter[:, :-1], quarter[:, 1:]
+    both = eighth[:, :-1] * eighth[:, 1:]
+    sides = both * (low + high)
+    squares = half[:, :-1] + half[:, 1:]
+    product = low * high
+    mass = sides * squares
+    first = (high - low).mul_(both).mul_((1.5 * squares).add_(product, alpha=2))
+    below, above = (2 * end * end for end in (half[:, 0], half[:, -1]))
     centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
     centres = (SCALE * centres + (SCALE + 3) / 2)[:, None, None]
-    if estimator == "mode":
-        ends = (below.unsqueeze(1), above.unsqueeze(1))
-        keep = dominant_mode(torch.cat((ends[0], mass, ends[1]), dim=1))
-        between = keep[:, 1:-1]
-        mass, first, inner = mass * between, first * between, inner * between
-        below, above = below * keep[:, 0], above * keep[:, -1]
-    return Intervals(mass, first, inner, below, above, peak[:, 0], centres)
+    return Intervals(mass, first, sides, product, below, above, peak[:, 0], centres)
 
 
 def _expectation(m: Intervals, planes: int) -> tuple[Tensor, Tensor]:
@@ -177,7 +199,24 @@ def closed_form(scores: Tensor, estimator: Estimator) -> Tensor:
     Returns:
         Disparity (B, H, W) in pixels.
     """
-    return _expectation(intervals(scores, estimator), scores.shape[1])[0]
+    m = intervals(scores)
+    if estimator == "mode":
+        return _dominant_expectation(m, scores.shape[1])
+    return _expectation(m, scores.shape[1])[0]
+
+
+def _dominant_expectation(m: Intervals, planes: int) -> Tensor:
+    """Expected disparity of the dominant mode, (B, H, W): that of three intervals or of all."""
+    below, above = m.below.unsqueeze(1), m.above.unsqueeze(1)
+    masses = torch.cat((below, m.mass, above), dim=1)
+    between = torch.addcmul(m.first, m.mass, m.centres)
+    moments = torch.cat((0.5 * below, between, (SCALE * planes - 1.5) * above), dim=1)
+    mass, moment = ((of[:, :-2] + of[:, 1:-1]).add_(of[:, 2:]) for of in (masses, moments))
+    most = mass.amax(dim=1, keepdim=True)
+    likeliest = (mass >= most).to(mass.dtype)
+    mode = moment.mul_(likeliest).sum(dim=1) / (most[:, 0] * likeliest.sum(dim=1))
+    total = masses.sum(dim=1)
+    return torch.where(most[:, 0] < MIN_MODE_PROBABILITY * total, moments.sum(dim=1) / total, mode)
 
 
 def upsample(scores: Tensor) -> Tensor:
@@ -275,7 +314,9 @@ def _disparity_and_derivative(
     scores: Tensor, estimator: Estimator, disparity: Tensor, derivative: Tensor
 ) -> None:
     """Fill in the disparity (B, H, W), and what each score (B, D, H, W) changes of it."""
-    m = intervals(scores, estimator)
+    m = intervals(scores)
+    if estimator == "mode":
+        m = m.dominant()
     found, total = _expectation(m, scores.shape[1])
     disparity.copy_(found)
     scale = 0.5 / total.unsqueeze(1)

@@ -100,10 +100,10 @@ class SoftArgmax(nn.Module):
 
 
 def dominant_mode(intervals: Tensor) -> Tensor:
-    """The most likely three neighbouring intervals: 1 there, 0 elsewhere.
+    """How often each interval counts: 1 in the most likely three neighbouring ones, 0 elsewhere.
 
-    Of neighbourhoods that are exactly as likely it takes all, and everything where none holds
-    `MIN_MODE_PROBABILITY`.
+    Of neighbourhoods that are exactly as likely it takes the mean, and the mean over everything
+    where none holds `MIN_MODE_PROBABILITY`.
 
     Args:
         intervals: Probability, or anything proportional to it, of each interval: (B, N, H, W).
@@ -114,9 +114,9 @@ def dominant_mode(intervals: Tensor) -> Tensor:
     three = intervals[:, :-2] + intervals[:, 1:-1] + intervals[:, 2:]
     most = three.amax(dim=1, keepdim=True)
     centre = F.pad((three >= most).to(intervals.dtype), (0, 0, 0, 0, 2, 2))
-    keep = torch.maximum(torch.maximum(centre[:, :-2], centre[:, 1:-1]), centre[:, 2:])
+    counts = centre[:, :-2] + centre[:, 1:-1] + centre[:, 2:]
     spread = most < MIN_MODE_PROBABILITY * intervals.sum(dim=1, keepdim=True)
-    return torch.maximum(keep, spread.to(intervals.dtype))
+    return torch.where(spread, 1, counts)
 
 
 def _disparities(scores: Tensor) -> Tensor:
