@@ -29,6 +29,7 @@ from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.msnet_config import FEATURE_CHANNELS, NetConfig
 from mobilestereonet.nets.soft_argmax import SoftArgmax
+from mobilestereonet.nets.volume_model import Band, VolumeOutputs
 
 LEARNED = [f"interlaced-{i}" for i in (1, 2, 4, 8, 16)] + ["concatenation"]
 
@@ -356,7 +357,13 @@ def test_bands_are_cut_from_all_planes_and_spread_to_them():
     volume = torch.randn(2, 24, 3, 5)
     start = 4 * torch.randint(0, 4, (2, 3, 5))
     band = cut_band(volume, start, 12)
-    spread = spread_band(band, start, 24)
+    spread = spread_band(band.requires_grad_(), start, 24)
+    outputs = VolumeOutputs([spread], None, SoftArgmax(4), Band(start, 12))
+    searched = outputs.searched_planes
+    assert (searched.sum(dim=1) == 12).all()
+    assert not torch.autograd.grad(spread[~searched].sum(), band, retain_graph=True)[0].any()
+    assert (torch.autograd.grad(spread[searched].sum(), band)[0] == 1).all()
+    spread = spread.detach()
     for index in itertools.product(range(2), range(3), range(5)):
         b, y, x = index
         first = int(start[index])

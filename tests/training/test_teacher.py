@@ -11,6 +11,7 @@ from mobilestereonet.data.augment import AugmentConfig
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.nets import IMAGENET
+from mobilestereonet.nets.coarse_pass import spread_band
 from mobilestereonet.nets.volume_model import Band, VolumeOutputs
 from mobilestereonet.scenes import ProceduralScenes, SceneConfig
 from mobilestereonet.training.batches import Request, TrainingPairs
@@ -133,13 +134,16 @@ def test_loss_of_an_equal_is_zero_and_far_disparities_count_by_distribution_only
 
 def test_of_a_cascade_only_what_was_searched_learns():
     net = create_model("msnet3d-cascade", max_disparity=128)
-    scores = torch.randn(1, 32, 8, 12, requires_grad=True)
+    scores = torch.randn(1, 16, 8, 12, requires_grad=True)
     start = torch.zeros(1, 8, 12, dtype=torch.int64)
-    outputs = VolumeOutputs([scores], None, net.regression, Band(start, 16))
+    spread = spread_band(scores, start, 32)
+    outputs = VolumeOutputs([spread], None, net.regression, Band(start, 16))
     disparity = torch.full((1, 32, 48), 20.0)
     disparity[:, :, 24:] = 100
     objective = Objective(replace(RECIPE, model="msnet3d-cascade"), net)
-    part = objective.taught(net, outputs, torch.randn(1, 32, 8, 12), disparity, disparity / 100)
+    teacher = torch.zeros(1, 32, 8, 12)
+    teacher[:, 31] = 5  # what it sees outside of the band teaches nothing
+    part = objective.taught(net, outputs, teacher, disparity, disparity / 100)
     part.total.backward()
     assert scores.grad[..., :6].abs().amin() > 0
     assert not scores.grad[..., 7:].any()  # upsampling reaches one pixel further

@@ -131,13 +131,13 @@ def spread_band(scores: Tensor, start: Tensor, planes: int) -> Tensor:
         planes: Planes D of the whole range.
 
     Returns:
-        (B, D, H, W), 2 below the pixel's lowest score outside of its band.
+        (B, D, H, W), 2 below the pixel's lowest score outside of its band, without a gradient
+        there: that of all planes outside would go to the lowest one alone.
     """
-    inside = torch.arange(planes, device=start.device)[:, None, None] - start.unsqueeze(1)
-    last = scores.shape[1] - 1
-    spread = scores.gather(1, inside.clamp(0, last))
-    outside = scores.amin(dim=1, keepdim=True) + OUTSIDE_BAND
-    return torch.where((inside >= 0) & (inside <= last), spread, outside)
+    place = torch.arange(planes, device=start.device)[:, None, None] - start.unsqueeze(1)
+    spread = scores.gather(1, place.clamp(0, scores.shape[1] - 1))
+    outside = scores.detach().amin(dim=1, keepdim=True) + OUTSIDE_BAND
+    return torch.where((place >= 0) & (place < scores.shape[1]), spread, outside)
 
 
 class Guide(nn.Conv3d):

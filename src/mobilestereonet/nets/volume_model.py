@@ -81,6 +81,15 @@ class VolumeOutputs:
         return (plane >= start) & (plane <= start + self.band.planes - 1)
 
     @property
+    def searched_planes(self) -> Tensor | None:
+        """Planes that were searched, (B, D, H / s, W / s) bool; None: all."""
+        if self.band is None:
+            return None
+        planes = torch.arange(self.scores[-1].shape[1], device=self.band.start.device)
+        place = planes[:, None, None] - self.band.start.unsqueeze(1)
+        return (place >= 0) & (place < self.band.planes)
+
+    @property
     def passes(self) -> list[tuple[float, VolumeOutputs]]:
         """Outputs that the loss trains, with their weights.
 

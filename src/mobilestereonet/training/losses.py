@@ -14,6 +14,9 @@ from mobilestereonet.accelerate.soft_argmax import SCALE, upsample
 AGREEMENT_PX = 8.0
 """Disparities of a network and its teacher that differ by less mean the same surface."""
 
+NO_SCORE = -1e4
+"""Score of a plane that has no probability."""
+
 SURFACE_PX = 3.0
 """Disparities in a row's neighbourhood that differ by more belong to another surface."""
 
@@ -157,6 +160,7 @@ def distillation_sum(
     *,
     cross_entropy: float,
     scale: int = 4,
+    searched: Tensor | None = None,
 ) -> Tensor:
     """What a teacher says, as a loss like that of the ground truth.
 
@@ -173,11 +177,16 @@ def distillation_sum(
         confidence: What a pixel counts, (B, H, W), such as the teacher's confidence.
         cross_entropy: Weight of the distribution beside the smooth L1.
         scale: Pixels from one coarse plane to the next, and of one coarse pixel, s.
+        searched: Planes that the network compared, (B, D, H / s, W / s) bool, on which the
+            teacher's distribution is taken; None: all.
 
     Returns:
         Sum over pixels and heads, a scalar.
     """
-    target = teacher_scores.float().log_softmax(dim=1)
+    target = teacher_scores.float()
+    if searched is not None:
+        target = target.masked_fill(~searched, NO_SCORE)
+    target = target.log_softmax(dim=1)
     coarse = confidence[:, scale // 2 :: scale, scale // 2 :: scale]
     total = confidence.new_zeros(())
     for weight, score in zip(weights, scores, strict=True):

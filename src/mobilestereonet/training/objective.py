@@ -121,6 +121,7 @@ class Objective:
                 confidence * part.searched(teacher_disparity),
                 cross_entropy=self.recipe.cross_entropy,
                 scale=net.regression.scale,
+                searched=part.searched_planes,
             )
         return Part(total, confidence.sum(), {})
 
