@@ -1,9 +1,7 @@
-import cv2
 import numpy as np
 import pytest
 import torch
 from matplotlib import colormaps
-from matplotlib.figure import Figure
 
 from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
@@ -12,7 +10,6 @@ from mobilestereonet.plots import (
     colour_disparity,
     contact_sheet,
     error_map,
-    plot_curves,
     side_by_side,
 )
 
@@ -106,69 +103,3 @@ def test_contact_sheet():
     assert (sheet[-20:, -80:] == 128).all()
     with pytest.raises(InputError, match="at least one sample"):
         contact_sheet([])
-
-
-LOG = """epoch,lr-Adam,step,train/loss_step,val/epe,val/loss
-0,0.001,0,10.0,,
-0,0.001,50,1.0,,
-0,,99,,2.5,0.9
-1,0.0005,150,0.1,,
-"""
-
-
-@pytest.fixture
-def figures(monkeypatch) -> list[Figure]:
-    """Every figure that is made during the test."""
-    made: list[Figure] = []
-    original = Figure.__init__
-
-    def watched(self, *args, **kwargs):
-        made.append(self)
-        original(self, *args, **kwargs)
-
-    monkeypatch.setattr(Figure, "__init__", watched)
-    return made
-
-
-def test_curves(tmp_path, figures):
-    log = tmp_path / "run" / "metrics.csv"
-    log.parent.mkdir()
-    log.write_text(LOG)
-    plot_curves([log], tmp_path / "curves.png")
-    picture = cv2.imread(str(tmp_path / "curves.png"))
-    assert picture is not None and (picture != 255).any()
-    panels = {axes.get_ylabel(): axes for axes in figures[0].axes}
-    assert list(panels) == ["epe", "loss", "lr"]
-    assert [panels[name].get_yscale() for name in panels] == ["linear", "log", "linear"]
-    lines = {line.get_label(): line.get_xydata().tolist() for line in panels["loss"].lines}
-    assert lines == {
-        "train/loss_step": [[0, 10.0], [50, 1.0], [150, 0.1]],
-        "val/loss": [[99, 0.9]],
-    }
-
-
-def test_starts_of_a_run_share_colour_and_label(tmp_path, figures):
-    logs = [tmp_path / start / "metrics.csv" for start in ("version_0", "version_1")]
-    for log in logs:
-        log.parent.mkdir()
-        log.write_text(LOG)
-    plot_curves(logs, tmp_path / "curves.png")
-    panels = {axes.get_ylabel(): axes for axes in figures[0].axes}
-    assert len(panels) == len(figures[0].axes) == 3
-    colours = [line.get_color() for line in panels["loss"].lines]
-    assert len(colours) == 4 and len(set(colours)) == 2
-    labels = [text.get_text() for text in panels["loss"].get_legend().get_texts()]
-    assert labels == ["train/loss_step", "val/loss"]
-
-
-def test_curves_of_bad_logs(tmp_path):
-    log = tmp_path / "metrics.csv"
-    with pytest.raises(InputError, match=r"metrics\.csv: not a file"):
-        plot_curves([log], tmp_path / "curves.png")
-    log.write_text("step,epoch\n1,0\n")
-    with pytest.raises(InputError, match="no curve"):
-        plot_curves([log], tmp_path / "curves.png")
-    log.write_text("step,loss\n1,much\n")
-    with pytest.raises(InputError, match="much"):
-        plot_curves([log], tmp_path / "curves.png")
-    assert list(tmp_path.iterdir()) == [log]

@@ -1,16 +1,11 @@
-"""Visualisation: disparity colours, KITTI's error map, panels, training curves.
+"""Visualisation: disparity colours, KITTI's error map, panels.
 
 Every picture is an RGB array of shape (H, W, 3), uint8.
 """
 
 from __future__ import annotations
 
-import csv
-import math
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from io import StringIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -18,17 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mobilestereonet.atomic import write_atomically
 from mobilestereonet.data.images import Picture, to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError, needs_extra
-from mobilestereonet.text import decode, shorten
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MapLike = Tensor | NDArray[Any]
-_Curve = tuple[list[float], list[float]]
 
 # The development kit of KITTI 2015 gives each doubling of the error the next of ten colours, from
 # 1/16 of the threshold on; the sixth begins at the threshold. They are ColorBrewer's RdYlBu.
@@ -49,8 +41,6 @@ _ERROR_COLOURS = np.array(
     dtype=np.uint8,
 )
 _PANEL_GAP_PX = 4
-_MAX_COLUMNS = 1000
-"""Columns of a run's log: more of them are none."""
 _TITLE_HEIGHT_PX = 24
 
 
@@ -223,90 +213,6 @@ def plot_maps(
         if values.ndim == 2:
             figure.colorbar(shown, ax=axes, shrink=0.8)
     return figure
-
-
-def plot_curves(logs: Sequence[Path], picture: Path) -> None:
-    """Draw the curves of a training run, one panel for each kind of figure.
-
-    ``train/loss`` and ``val/loss`` share the panel ``loss``, which has a logarithmic axis.
-
-    Args:
-        logs: The ``metrics.csv`` files of Lightning's CSVLogger, one for each start of the run.
-            Where a resumed run did steps again, both curves are drawn.
-        picture: PNG file to write.
-
-    Raises:
-        FileNotFoundError: If a log does not exist.
-        InputError: If the logs have no curve.
-    """
-    # Imported here: pictures of disparities need no matplotlib, and its import is slow.
-    with needs_extra("plots"):
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import LogFormatter, MaxNLocator
-
-    families: dict[str, dict[str, list[_Curve]]] = defaultdict(lambda: defaultdict(list))
-    for log in logs:
-        for column, curve in _curves(log).items():
-            name = column.removesuffix("_step").removesuffix("_epoch")
-            family = "lr" if name.startswith("lr") else name.rsplit("/", 1)[-1]
-            families[family][column].append(curve)
-    if not families:
-        listed = ", ".join(str(log) for log in logs)
-        raise InputError(f"{listed}: no curve in it; it needs a column step and numbers beside it")
-    rows = math.ceil(len(families) / 2)
-    figure = Figure(figsize=(13, 2.6 * rows), layout="constrained")
-    panels = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
-    for axes, (family, columns) in zip(panels, sorted(families.items()), strict=False):
-        for index, (column, starts) in enumerate(sorted(columns.items())):
-            for start, (steps, values) in enumerate(starts):
-                marker = "." if len(values) < 30 else ""
-                label = None if start else column
-                axes.plot(steps, values, f"C{index}", label=label, linewidth=1, marker=marker)
-        axes.set_ylabel(family)
-        if "loss" in family and all(y > 0 for line in axes.lines for y in line.get_ydata()):
-            axes.set_yscale("log")
-            axes.yaxis.set_major_formatter(LogFormatter())
-            axes.yaxis.set_minor_formatter(LogFormatter())
-        axes.set_xlabel("step")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.tick_params(labelbottom=True)
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize="small")
-    for axes in panels[len(families) :]:
-        axes.remove()
-    write_atomically(picture, lambda path: figure.savefig(path, format="png", dpi=120))
-
-
-def _curves(log: Path) -> dict[str, _Curve]:
-    """Columns of a CSV log that hold numbers: each one's steps and values.
-
-    The logger writes a row per event and leaves the other columns empty.
-    """
-    if not log.is_file():  # a pipe would wait for ever
-        raise InputError(f"{log}: not a file")
-    curves: dict[str, _Curve] = defaultdict(lambda: ([], []))
-    rows = csv.DictReader(StringIO(decode(log.read_bytes(), str(log)), newline=""))
-    try:
-        if len(rows.fieldnames or ()) > _MAX_COLUMNS:
-            raise InputError(f"{log}: more than {_MAX_COLUMNS} columns are no log of a run")
-        for row in rows:
-            step = row.pop("step", None)
-            for column, cell in row.items():
-                if step and cell and column and column != "epoch":
-                    at, value = _number(log, "step", step), _number(log, column, cell)
-                    steps, values = curves[column.replace("$", r"\$")]  # no mathematics
-                    steps.append(at)
-                    values.append(value)
-    except csv.Error as error:
-        raise InputError(f"{log}: not a CSV log: {error}") from None
-    return curves
-
-
-def _number(log: Path, column: str, cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise InputError(f"{log}: {column} holds {shorten(repr(cell))}, no number") from None
 
 
 def _array(values: MapLike) -> NDArray[Any]:

@@ -14,11 +14,11 @@ def _log(folder, version, rows):
 
 def test_all_starts_of_a_run(tmp_path, capsys):
     _log(tmp_path, 0, [(9, 5.0), (19, 4.0)])
-    plot_run(tmp_path)
+    plot_run([tmp_path])
     assert "curves of 1 start\n" in capsys.readouterr().out
     one = cv2.imread(str(tmp_path / "curves.png"))
     _log(tmp_path, 1, [(19, 4.1), (29, 3.0)])
-    plot_run(tmp_path, tmp_path / "new" / "both.png")
+    plot_run([tmp_path], tmp_path / "new" / "both.png")
     assert "curves of 2 starts" in capsys.readouterr().out
     both = cv2.imread(str(tmp_path / "new" / "both.png"))
     assert one.shape == both.shape and (one != both).any()
@@ -26,7 +26,7 @@ def test_all_starts_of_a_run(tmp_path, capsys):
 
 def test_no_run(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"metrics\.csv"):
-        plot_run(tmp_path)
+        plot_run([tmp_path])
     assert not (tmp_path / "curves.png").exists()
 
 
@@ -43,5 +43,16 @@ def test_a_log_that_is_none(tmp_path, log, words):
     (tmp_path / "csv/version_0").mkdir(parents=True)
     (tmp_path / "csv/version_0/metrics.csv").write_bytes(log)
     with pytest.raises(InputError, match=words):
-        plot_run(tmp_path)
+        plot_run([tmp_path])
     assert not (tmp_path / "curves.png").exists()
+
+
+def test_several_runs(tmp_path, capsys, msnet):
+    for name in ("a", "b"):
+        _log(tmp_path / "runs" / name, 0, [(9, 5.0), (19, 4.0)])
+    (tmp_path / "runs/ablation.json").touch()
+    code, out, _ = msnet("plot-run", *sorted((tmp_path / "runs").iterdir()))
+    assert code == 0 and "curves of 2 starts of 2 runs" in out
+    assert cv2.imread(str(tmp_path / "runs/curves.png")) is not None
+    code, _, told = msnet("plot-run", tmp_path / "runs/ablation.json")
+    assert code == 2 and "no folder of a run" in told

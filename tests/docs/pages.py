@@ -25,6 +25,12 @@ class Block:
     text: str
 
     @property
+    def file(self) -> str | None:
+        """Name under which a reader saves the block."""
+        kind, _, name = self.marker.partition(": ")
+        return name if kind == "file" else None
+
+    @property
     def runs(self) -> bool:
         return self.language in ("bash", "python") and not self.marker
 

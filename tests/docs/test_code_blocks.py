@@ -7,6 +7,7 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import typer
@@ -14,8 +15,10 @@ from pages import PAGES, ROOT, SET_UP, blocks, inline_code, msnet_arguments, pag
 
 from extras import need_extra
 from mobilestereonet.cli.main import app, main
+from mobilestereonet.data.scanners import registry as data_registry
 from mobilestereonet.export import FORMATS
 from mobilestereonet.inference import DEFAULT_MODEL
+from mobilestereonet.nets import registry as net_registry
 from mobilestereonet.settings import parse_assignments
 from mobilestereonet.training.named_recipes import get_recipe
 from mobilestereonet.training.recipe import override
@@ -49,7 +52,7 @@ def test_blocks_that_do_not_run_say_why(page):
         where = f"{page.name}:{block.line}"
         assert block.language in ("bash", "python", "text", "json"), where
         set_up = page.name == "README.md" and block.marker in SET_UP
-        assert not block.marker or set_up or re.match(r"not run: \w", block.marker), where
+        assert not block.marker or set_up or re.match(r"(not run|file): \w", block.marker), where
 
 
 def test_the_set_up_commands_are_the_readmes():
@@ -138,14 +141,21 @@ def _run_command(words, monkeypatch, capsys, where):
 
 @pytest.mark.slow
 @pages
+@patch.dict(data_registry._REGISTRY)
+@patch.dict(net_registry._MODELS)
+@patch.dict(FORMATS)
 def test_blocks_run(page, shared_files, tmp_path, monkeypatch, capsys):
+    """What a page registers is gone after it."""
     if page.name == "CONTRIBUTING.md":
         pytest.skip("CI runs these commands")
     for module in EXTRAS.get(page_id(page), ()):
         need_extra(module)
     shutil.copytree(shared_files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     names = {"__name__": page.name}
+    for block in (block for other in PAGES for block in blocks(other) if block.file):
+        Path(block.file).write_text(block.text)
     for block in filter(lambda block: block.runs, blocks(page)):
         where = f"{page.name}:{block.line}"
         if block.language == "python":

@@ -243,6 +243,32 @@ def test_command(tmp_path, capsys):
     assert values.shape == (16, 32) and np.median(values) == 4 * 256
 
 
+def test_a_trial_of_what_is_there(tmp_path, capsys):
+    _frames(tmp_path / "kitti", 3)
+    sgbm, archive = MatcherOptions(model="sgbm"), tmp_path / "out.zip"
+    command("kitti2012", tmp_path / "kitti", archive, options=sgbm, partial=True)
+    told = capsys.readouterr().out
+    assert (
+        "3 disparity maps; a trial, which the server refuses: it lacks 192 scenes, 000003_10"
+        in told
+    )
+    with zipfile.ZipFile(archive) as file:
+        assert file.namelist() == [f"00000{index}_10.png" for index in range(3)]
+    (tmp_path / "kitti/testing/colored_1/000001_10.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"000001_10\.png: its right view"):
+        command("kitti2012", tmp_path / "kitti", archive, options=sgbm, partial=True)
+    with pytest.raises(FileNotFoundError, match="nothing found"):
+        open_benchmark("kitti2012", tmp_path, partial=True)
+
+
+def test_a_trial_without_one_of_the_splits(tmp_path):
+    for view in ("im0", "im1"):
+        write_png(tmp_path / f"trainingQ/Piano/{view}.png", np.zeros((4, 6, 3), np.uint8))
+    write_pfm(tmp_path / "trainingQ/Piano/disp0GT.pfm", np.ones((4, 6), np.float32))
+    (part,) = open_benchmark("middlebury", tmp_path, partial=True)
+    assert [frame.name for frame in part.frames] == ["Piano"]
+
+
 def test_a_benchmark_is_one_entry(tmp_path, monkeypatch):
     """A new one, of two pairs of a folder, needs nothing else."""
     for side in ("left", "right"):

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 PANELS = {
     "Input": (
-        *("data", "root", "split", "textures", "count", "seed", "training_only", "authors"),
+        *(
+            "data",
+            "root",
+            "split",
+            "textures",
+            "count",
+            "seed",
+            "training_only",
+            "partial",
+            "authors",
+        ),
         "threshold",
         *("pair_by", "layout", "order", "rotate", "fps", "left_topic", "right_topic", "tolerance"),
     ),

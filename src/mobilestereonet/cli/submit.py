@@ -12,6 +12,9 @@ from mobilestereonet.cli.early import BENCHMARK_SIZES, BENCHMARKS, one_of
 from mobilestereonet.cli.engine import MatcherOptions, Precision
 from mobilestereonet.cli.options import DataRoot, new_output
 
+_NAMED = 6
+"""Missing scenes that are named."""
+
 
 def submit(
     benchmark: Annotated[
@@ -38,6 +41,10 @@ def submit(
         bool,
         typer.Option("--training-only", help="Middlebury's training scenes alone, for a trial."),
     ] = False,
+    partial: Annotated[
+        bool,
+        typer.Option("--partial", help="Pack the scenes that are there, for a trial of your own."),
+    ] = False,
 ) -> None:
     """Write the archive that a benchmark's server takes, checked."""
     options = replace(options, precision=precision)
@@ -51,7 +58,10 @@ def submit(
     matcher = options.open_matcher()
     check_outputs(output, kind="ZIP file")
     plan = plan_submission(benchmark, method or matcher.model, size, training_only)
-    parts = open_benchmark(benchmark, root, size, training_only)
+    parts = open_benchmark(benchmark, root, size, training_only, partial)
+    there = {frame.name.rpartition("/")[2] for part in parts for frame in part.frames}
+    missing = [scene for scene in plan.maps if scene not in there] if partial else []
+    plan = plan.only(there) if missing else plan
     make_folder(output.parent)
     places = [(part, index) for part in parts for index in range(len(part))]
     console = Console(stderr=True)
@@ -60,7 +70,9 @@ def submit(
     pairs = (part[index] for part, index in progress)
     write_submission(plan, matcher.disparity, pairs, output)
     times = f", {len(plan.runtimes)} files with times" if plan.runtimes else ""
-    print(
-        f"{output}: {len(plan.maps)} disparity maps{times}; "
-        "names, counts, types and sizes are as the server wants them"
-    )
+    told = f"{output}: {len(plan.maps)} disparity maps{times}"
+    if missing:
+        some = ", ".join(missing[:_NAMED]) + (", ..." if len(missing) > _NAMED else "")
+        print(f"{told}; a trial, which the server refuses: it lacks {len(missing)} scenes, {some}")
+    else:
+        print(f"{told}; names, counts, types and sizes are as the server wants them")

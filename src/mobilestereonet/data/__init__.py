@@ -23,6 +23,7 @@ from mobilestereonet.data.sample import Calibration, StereoSample, collate
 from mobilestereonet.data.scanners import (
     Frame,
     PairFolder,
+    PatternDataSet,
     StereoDataSet,
     data_sets,
     occlusion_from_right_view,
@@ -36,6 +37,7 @@ __all__ = [
     "Frame",
     "Mask",
     "PairFolder",
+    "PatternDataSet",
     "Rig",
     "StereoDataSet",
     "StereoSample",

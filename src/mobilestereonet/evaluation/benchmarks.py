@@ -7,11 +7,12 @@ page of Middlebury's MiddEval3 SDK, and ETH3D's documentation.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mobilestereonet.data.scanners import StereoDataSet, open_data_set
+from mobilestereonet.data.scanners import NothingFoundError, StereoDataSet, open_data_set
 from mobilestereonet.errors import InputError
 from mobilestereonet.settings import choice_hint
 
@@ -31,6 +32,14 @@ class Submission:
     maps: Mapping[str, str]
     runtimes: Mapping[str, str] = field(default_factory=dict)
     runtime_label: str = ""
+
+    def only(self, scenes: Collection[str]) -> Submission:
+        """The part of it that belongs to some scenes."""
+        maps, runtimes = (
+            {scene: name for scene, name in names.items() if scene in scenes}
+            for names in (self.maps, self.runtimes)
+        )
+        return Submission(maps, runtimes, self.runtime_label)
 
 
 @dataclass(frozen=True)
@@ -157,7 +166,11 @@ def plan_submission(
 
 
 def open_benchmark(
-    benchmark: str, root: Path, size: str = "Q", training_only: bool = False
+    benchmark: str,
+    root: Path,
+    size: str = "Q",
+    training_only: bool = False,
+    partial: bool = False,
 ) -> list[StereoDataSet]:
     """Open the data sets that a benchmark scores, checked to be complete.
 
@@ -166,6 +179,7 @@ def open_benchmark(
         root: Folder in which the benchmark's archives were unpacked.
         size: Middlebury's ``Q``, ``H`` or ``F``.
         training_only: Middlebury without the test scenes.
+        partial: Take the pairs that are there, whatever is missing.
 
     Raises:
         FileNotFoundError: If there is no pair.
@@ -173,10 +187,22 @@ def open_benchmark(
     """
     entry = _find(benchmark, size, training_only)
     options = {"size": size} if entry.sizes else {}
-    return [
-        open_data_set(entry.data_set, root, split=split, strict=True, **options)
-        for split in entry.splits(training_only)
-    ]
+    parts, absent = [], None
+    for split in entry.splits(training_only):
+        try:
+            with warnings.catch_warnings():
+                if partial:
+                    warnings.filterwarnings("ignore", ".* expected .* frames")
+                parts.append(
+                    open_data_set(entry.data_set, root, split=split, strict=not partial, **options)
+                )
+        except NothingFoundError as error:
+            absent = error
+            if not partial:
+                raise
+    if absent is not None and not parts:
+        raise absent
+    return parts
 
 
 def _find(benchmark: str, size: str, training_only: bool) -> Benchmark:

@@ -21,6 +21,10 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.settings import choice_hint
 
 
+class NothingFoundError(FileNotFoundError):
+    """Error of a data set of which no left view is there."""
+
+
 @dataclass(frozen=True)
 class Frame:
     """File paths of one sample.
@@ -57,9 +61,9 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         frames: The frames found, in the order of their paths.
 
     Raises:
-        FileNotFoundError: If no left view is found (the message names the root, the patterns
-            and what is there instead), or if a right view or a ground truth is missing (it names
-            both files).
+        NothingFoundError: If no left view is found; the message names the root, the patterns and
+            what is there instead.
+        FileNotFoundError: If a right view or a ground truth is missing; it names both files.
         InputError: If the split is unknown or, with ``strict``, the number of frames is not the
             official one.
     """
@@ -79,7 +83,7 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             self.frames = [replace(frame, disparity=None) for frame in self.frames]
         if not self.frames:
             looked_for = ", ".join(self.patterns())
-            raise FileNotFoundError(
+            raise NothingFoundError(
                 f"{self}: nothing found in {self.root}: no {looked_for}; {_content(self.root)}"
             )
         for frame in self.frames:
