@@ -25,6 +25,7 @@ _PAGE = b"""<!doctype html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width">
 <title>msnet live</title>
+<link rel="icon" href="data:,">
 <style>
   body { margin: 0; background: #222; }
   img { display: block; margin: auto; max-width: 100%; max-height: 100vh; }
@@ -35,7 +36,7 @@ _PAGE = b"""<!doctype html>
 
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; style-src 'unsafe-inline'",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; style-src 'unsafe-inline'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
