@@ -37,7 +37,7 @@ from mobilestereonet.data.motorcycle import motorcycle
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.inference import QUALITIES
 from mobilestereonet.streams.bag_file import RectifiedBag
-from mobilestereonet.streams.bags import BagPair
+from mobilestereonet.streams.stereo_bag import BagPair
 
 WIDTH, HEIGHT = 640, 400
 STEP_PX = 2

@@ -23,7 +23,7 @@ from extras import need_extra
 from mobilestereonet.cli import early
 from mobilestereonet.cli.sinks import TopicOptions
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams import bag_file, bag_writer, bags, open_stream
+from mobilestereonet.streams import bag_file, bag_writer, open_stream, stereo_bag
 from mobilestereonet.streams.ros_input import calibration_of, check_encoding, picture_of
 
 SGBM = ("--model", "sgbm", "--max-disparity", 64)
@@ -245,9 +245,9 @@ def test_a_rig_comes_before_a_bags_camera_info(rosbags, msnet, tmp_path):
 )
 def test_names_of_rectified_images(topic, rectified):
     views = [topic.format(side) for side in ("left", "right")]
-    assert bags.are_rectified(Path("run.bag"), views) == rectified
+    assert stereo_bag.are_rectified(Path("run.bag"), views) == rectified
     with pytest.raises(InputError, match="name two topics with rectified images, or two with raw"):
-        bags.are_rectified(Path("run.bag"), ["/left/image_rect", "/right/image_raw"])
+        stereo_bag.are_rectified(Path("run.bag"), ["/left/image_rect", "/right/image_raw"])
 
 
 @pytest.mark.parametrize("ending", [".mcap", ".bag"])
@@ -525,7 +525,7 @@ def test_a_topic_of_packets_is_refused_before_the_first_frame(rosbags, tmp_path)
         open_stream(str(path), left_topic="/left", right_topic="/right")
     kinds = dict.fromkeys(("/a", "/b"), ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", 5))
     with pytest.raises(InputError, match=r"/a holds packets of a video: the node republish"):
-        bags._image_topics(path, kinds, "/a", "/b")
+        stereo_bag._image_topics(path, kinds, "/a", "/b")
 
 
 def image_message(encoding, height, width, data=bytes(64)):
@@ -606,4 +606,4 @@ def test_binning_and_region_of_interest():
 
 def test_the_command_line_knows_the_names_of_the_library():
     assert early.BAG_ENDINGS == bag_writer.BAG_ENDINGS
-    assert TopicOptions().tolerance == bags.TOLERANCE_S
+    assert TopicOptions().tolerance == stereo_bag.TOLERANCE_S

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mobilestereonet.data.images import Array
     from mobilestereonet.data.sample import Calibration
     from mobilestereonet.inference.rectify import Rectifier
-    from mobilestereonet.streams.bags import BagPair, StereoBag
+    from mobilestereonet.streams.stereo_bag import BagPair, StereoBag
 
     _Writer: TypeAlias = Callable[["_Raw", Sequence[Array], Calibration], None]
 
@@ -111,7 +111,7 @@ class _Raw:
 
 
 def _open_bag(path: str, topics: TopicOptions) -> StereoBag:
-    from mobilestereonet.streams.bags import StereoBag
+    from mobilestereonet.streams.stereo_bag import StereoBag
 
     return StereoBag.open(path, topics.left_topic, topics.right_topic, topics.tolerance)
 

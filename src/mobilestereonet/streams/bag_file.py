@@ -10,13 +10,13 @@ from mobilestereonet.data.images import Array
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.inference import StereoResult
 from mobilestereonet.streams.bag_writer import BagWriter
-from mobilestereonet.streams.bags import BagPair
 from mobilestereonet.streams.ros_output import (
     RESULT_TOPICS,
     ResultMessages,
     camera_info,
     image_message,
 )
+from mobilestereonet.streams.stereo_bag import BagPair
 from mobilestereonet.streams.stream import StereoFrame
 
 FRAME_ID = "left_camera_optical_frame"

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from mobilestereonet.errors import InputError
-from mobilestereonet.streams.bags import TOLERANCE_S, is_bag, open_bag
+from mobilestereonet.streams.bags import is_bag, open_bag
 from mobilestereonet.streams.captures import is_capture, open_captures
 from mobilestereonet.streams.devices import is_device, open_device
 from mobilestereonet.streams.pairs import (
@@ -16,6 +16,7 @@ from mobilestereonet.streams.pairs import (
     pair_folders,
     read_pairs,
 )
+from mobilestereonet.streams.stereo_bag import TOLERANCE_S
 from mobilestereonet.streams.stream import Stream
 from mobilestereonet.streams.video_files import open_videos
 
