@@ -3,7 +3,6 @@
 import re
 import shutil
 import time
-from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -46,9 +45,8 @@ def folder(tmp_path_factory):
     return folder
 
 
-@contextmanager
-def served(folder):
-    """Serve a folder to this machine; gives the address."""
+@pytest.fixture(scope="module")
+def address(folder):
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=folder))
     Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_port}/"
@@ -56,33 +54,21 @@ def served(folder):
 
 
 @pytest.fixture(scope="module")
-def address(folder):
-    with served(folder) as address:
-        yield address
-
-
-@pytest.fixture(scope="module")
-def chromium():
+def context(address):
+    """A browser that has been on the page, and what it asked and complained of."""
     options = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     options += ["--disable-gpu-compositing", "--use-fake-device-for-media-stream"]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=[*options, "--use-fake-ui-for-media-stream"]
         )
-        yield browser
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        context.set_default_timeout(PATIENCE)
+        asked, errors = set(), []
+        context.on("request", lambda request: asked.add(request.url))
+        context.on("weberror", lambda error: errors.append(error.error))
+        yield context
         browser.close()
-
-
-@pytest.fixture(scope="module")
-def context(chromium, address):
-    """A browser that has been on the page, and what it asked and complained of."""
-    context = chromium.new_context(viewport={"width": 1280, "height": 900})
-    context.set_default_timeout(PATIENCE)
-    asked, errors = set(), []
-    context.on("request", lambda request: asked.add(request.url))
-    context.on("weberror", lambda error: errors.append(error.error))
-    yield context
-    context.close()
     assert {url.split("/")[2] for url in asked if url.startswith("http")} == {address.split("/")[2]}
     assert not errors
 
@@ -189,31 +175,6 @@ def test_what_a_visitor_may_do_wrong(context, address, folder, tmp_path):
     page.locator("#match").click()
     status(page, "The photos must have one size")
     page.close()
-
-
-NO_DEVICE = """
-const failing = { requestDevice: async () => { throw new Error("no device"); } };
-const adapter = { features: new Set(), limits: {}, info: {}, ...failing };
-Object.defineProperty(navigator, "gpu", { value: { requestAdapter: async () => adapter } });
-"""
-"""A browser's WebGPU that promises an adapter, and has no device."""
-
-
-def test_a_gpu_that_cannot_run_the_network(chromium, folder, tmp_path):
-    shutil.copytree(folder, tmp_path / "page")
-    worker = tmp_path / "page/worker.js"
-    worker.write_text(NO_DEVICE + worker.read_text())
-    context = chromium.new_context()
-    context.set_default_timeout(PATIENCE)
-    asked = set()
-    context.on("request", lambda request: asked.add(request.url.rpartition("/")[2]))
-    with served(tmp_path / "page") as address:
-        page = open_page(context, address)
-        assert "ort.webgpu.min.mjs" in asked
-        assert "thread" in page.locator("#status").inner_text()  # of WebAssembly
-        page.locator("#example").click()
-        status(page, re.compile(r"Matched in [\d.]+ s"))
-        context.close()
 
 
 def test_a_side_by_side_webcam(context, address):

@@ -360,6 +360,19 @@ def test_images_without_a_partner_are_reported(rosbags, msnet, tmp_path):
     assert "no frame could be matched" in msnet("video", bag, *topics(*VIEWS), *tight, *SGBM)[2]
 
 
+def test_a_loop_over_a_bag(rosbags, matcher, tmp_path):
+    rect = write_bag(tmp_path / "rect.bag", frames=2)
+    raw = write_bag(tmp_path / "raw.mcap", RAW, frames=2, distortion=LENS, calibrated=False)
+    rig = write_rig(tmp_path / "rig.yml")
+    for bag, (left, right), given in ((rect, VIEWS, None), (raw, RAW, rig)):
+        loop = matcher.stream(bag, left_topic=left, right_topic=right, rig=given)
+        for frame, result in enumerate(loop):
+            assert result.frame.stamp == START_NS + frame * 10**8
+            true = FOCAL_PX * BASELINE_M / (10 + frame)
+            assert np.median(centre(result.depth())) == pytest.approx(true, rel=0.03)
+        assert frame == 1
+
+
 def test_results_of_exchanged_topics_are_of_the_left_camera(rosbags, msnet, tmp_path):
     bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
     code, _, err = msnet("video", bag, *topics(*VIEWS[::-1]), "--bag", tmp_path / "a.mcap", *SGBM)
