@@ -312,6 +312,18 @@ def test_long_texts_in_a_png_are_no_damage(tmp_path):
         read_image(path)
 
 
+@pytest.mark.parametrize("compression", ["tiff_adobe_deflate", "tiff_deflate"])
+def test_a_zeroed_block_in_a_deflated_tiff(tmp_path, compression):
+    path = tmp_path / "a.tiff"
+    content = encoded("TIFF", compression=compression)
+    path.write_bytes(content)
+    np.testing.assert_array_equal(read_image(path), SCENE)
+    half = len(content) // 2
+    path.write_bytes(content[:half] + bytes(60) + content[half + 60 :])
+    with pytest.raises(InputError, match="not an image that is whole: its data is damaged"):
+        read_image(path)
+
+
 def test_the_callers_settings_stay(tmp_path):
     path = tmp_path / "a.png"
     path.write_bytes(WHOLE["png"])

@@ -19,6 +19,7 @@ from mobilestereonet.data.images import Array
 from mobilestereonet.data.jpeg_files import check_jpeg, cut_frames
 from mobilestereonet.data.png_files import SIGNATURE, check_png, png_pixels
 from mobilestereonet.data.quiet import quiet_decoders
+from mobilestereonet.data.tiff_files import check_tiff
 from mobilestereonet.errors import InputError
 
 MAX_IMAGE_PIXELS = 178_956_970
@@ -198,6 +199,7 @@ def _decode_tiff(path: str | Path, content: bytes, image: Any) -> Array:
     eight_bits = set(image.tag_v2.get(_BITS_TAG, (1,))) == {8}
     inverted = image.tag_v2.get(_PHOTOMETRIC_TAG) == 0
     with _damage_reported(path):
+        check_tiff(content, image.tag_v2, image.width * image.height)
         image.load()
     if eight_bits and image.mode in ("L", "RGB", "RGBA"):
         levels = np.asarray(image)
