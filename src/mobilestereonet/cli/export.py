@@ -39,11 +39,13 @@ def export(
     height: Annotated[
         int | None,
         typer.Option(
-            help="Height of a file of fixed size; others are checked at it. Default: 256; web: 320."
+            min=1,
+            help="Height of a file of fixed size; others are checked at it. Default: 256; "
+            "web: 320.",
         ),
     ] = None,
     width: Annotated[
-        int | None, typer.Option(help="Width, likewise. Default: 512; web: 448.")
+        int | None, typer.Option(min=1, help="Width, likewise. Default: 512; web: 448.")
     ] = None,
     precision: Annotated[
         str | None,

@@ -17,7 +17,7 @@ Points: TypeAlias = NDArray[np.float32]
 MIN_MATCHES = 30
 """Matches from which on they tell a geometry: fewer may agree by chance."""
 
-_MAX_FEATURES = 2000
+_MAX_FEATURES = 1200
 _MAX_DISTANCE_RATIO = 0.75
 """A match counts if the second best is farther by this factor (Lowe's test)."""
 

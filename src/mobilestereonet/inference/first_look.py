@@ -16,8 +16,11 @@ from mobilestereonet.inference.rectify import Rectifier
 ORDERS = ("left-right", "right-left")
 ROTATIONS = (0, 90, 180, 270)
 
-_LOOK_SIZE_PX = 640
+_LOOK_SIZE_PX = 512
 """Longer side to which larger pictures are scaled down for the first look."""
+
+_LAYOUT_SIZE_PX = 320
+"""The same, to find out whether one view lies above the other."""
 
 _STACKED = Finding(
     "layout",
@@ -236,7 +239,7 @@ def _is_stacked(pair: StereoPair, start: Arrangement) -> bool:
         return False
     plain = replace(pair, calibration=None)
     beside, stacked = (
-        _look(replace(start, top_bottom=layout)(plain), _LOOK_SIZE_PX // 2).matches
+        _look(replace(start, top_bottom=layout)(plain), _LAYOUT_SIZE_PX).matches
         for layout in (False, True)
     )
     return stacked > 2 * beside
