@@ -8,7 +8,8 @@ import pytest
 import torch
 from rich.console import Console
 
-from mobilestereonet.data import write_pfm, write_png
+from mobilestereonet.cli.engine import MatcherOptions
+from mobilestereonet.data import write_disparity_png, write_pfm, write_png
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.evaluation import (
@@ -21,7 +22,7 @@ from mobilestereonet.evaluation import (
     leaderboard_columns,
 )
 from mobilestereonet.evaluation.result_table import ENDINGS, TableColumn
-from mobilestereonet.nets import Prediction, build_model
+from mobilestereonet.nets import build_model
 from mobilestereonet.paper.tables import printed_errors
 from mobilestereonet.training.recipe import Recipe, override
 from mobilestereonet.training.seeds import group_by_seed
@@ -165,14 +166,18 @@ def _run(folder, seed, **values):
 
 
 def test_compare_command(tmp_path, pairs, msnet, monkeypatch):
-    """The first run is wrong by 1 px, the next by 2, the last by 3."""
+    """The first model is wrong by 1 px, the next by 2, and so on."""
+    opened = []
 
-    def wrong(engine, left, right, confidence):
-        error = errors.setdefault(id(engine), len(errors) + 1)
-        return Prediction(torch.full_like(left[:, 0], 8.0 + error))
+    class Wrong:
+        def __init__(self, options):
+            opened.append(options)
+            self.model, self.error = options.model or "msnet2d", len(opened)
 
-    errors = {}
-    monkeypatch.setattr("mobilestereonet.engines.torch.TorchEngine.__call__", wrong)
+        def disparity(self, left, right):
+            return torch.full_like(left[:, 0], 8.0 + self.error)
+
+    monkeypatch.setattr(MatcherOptions, "open_matcher", lambda options, **_: Wrong(options))
     runs = tmp_path / "runs"
     _run(runs / "a", 0)
     _run(runs / "b", 1)
@@ -190,7 +195,10 @@ def test_compare_command(tmp_path, pairs, msnet, monkeypatch):
     assert "lr=0.0001" in out and "1.500 ±" in out
     assert [float(row["EPE (px)"]) for row in rows[:2]] == [1.5, 3]
     assert float(rows[0]["EPE (px) std"]) == pytest.approx(0.5**0.5)
-    assert float(rows[2]["EPE (px)"]) < 1
+    assert float(rows[2]["EPE (px)"]) == 4
+    weights = [options.weights for options in opened[:3]]
+    assert weights == [runs / name / "weights.safetensors" for name in ("a", "b", "slow")]
+    assert opened[3] == MatcherOptions(model="sgbm")
 
 
 def test_compare_refuses_what_is_no_run(tmp_path, pairs, msnet):
@@ -220,3 +228,21 @@ def test_evaluate_compares_several_models(tmp_path, pairs, msnet):
     assert [line.split(" | ")[0] for line in lines[4:6]] == ["| sgbm    ", "| sgbm (2)"]
     code, out, _ = msnet("evaluate", *pairs, *models[:2], "--format", "html")
     assert code == 0 and out.startswith("<!DOCTYPE html>")
+
+
+def test_the_papers_figures_beside(tmp_path, msnet):
+    training = tmp_path / "training"
+    view = np.random.default_rng(0).integers(0, 255, (32, 80, 3), dtype=np.uint8)
+    for folder in ("image_2", "image_3"):
+        write_png(training / folder / "000002_10.png", view)
+    write_disparity_png(training / "disp_occ_0/000002_10.png", np.full((32, 80), 9, np.float32))
+    options = ("--data", "kitti2015", "--root", tmp_path, "--split", "val", "--format", "csv")
+    _run(tmp_path / "run", 0)
+    code, out, err = msnet("compare", tmp_path / "run", "sgbm", *options, "--paper")
+    assert code == 0, err
+    ours, sgbm = csv.DictReader(io.StringIO(out))
+    # The paper's Table 5, where there is a column for it.
+    columns = [column for column in ours if column.endswith("paper")]
+    assert columns == ["D1-all, paper", "EPE, paper", "px-3, paper"]
+    assert [float(ours[column]) for column in columns] == [2.53, 0.79, 2.67]
+    assert not any(sgbm[column] for column in columns)

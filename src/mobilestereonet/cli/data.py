@@ -27,7 +27,6 @@ def list_command(as_json: AsJson = False) -> None:
     import json
     from dataclasses import asdict
 
-    from rich import box
     from rich.console import Console
     from rich.table import Table
 
@@ -38,12 +37,12 @@ def list_command(as_json: AsJson = False) -> None:
         records = [asdict(info) | {"withheld": sorted(info.withheld)} for info in found]
         print(json.dumps(records, indent=2))
         return
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("name", no_wrap=True)
-    for heading in ("what", "splits", "options"):
-        table.add_column(heading)
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
     for info in found:
-        table.add_row(info.name, info.summary, _splits(info), ", ".join(info.options))
+        table.add_row(info.name, info.summary)
+        options = f"; --set {', '.join(info.options)}" if info.options else ""
+        table.add_row("", f"{_splits(info)}{options}", style="dim")
     Console().print(table)
     print("The first split is the default; * has no public ground truth.")
     print("Also procedural, which needs no files: msnet data preview procedural -o scenes.png")

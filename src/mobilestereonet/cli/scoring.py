@@ -177,6 +177,10 @@ class ScoringOptions:
             printed: See `printed`.
         """
         from mobilestereonet.evaluation import compare_evaluations
+        from mobilestereonet.paper.tables import PRINTED_ON
 
         beside = printed and {row: printed.get(name, {}) for row, name in networks.items()}
-        return compare_evaluations(groups, self.data, statistic=self.statistic, printed=beside)
+        notes = "" if printed is None else PRINTED_ON
+        return compare_evaluations(
+            groups, self.data, statistic=self.statistic, printed=beside, notes=notes
+        )

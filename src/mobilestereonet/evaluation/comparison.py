@@ -103,6 +103,7 @@ def compare_evaluations(
     *,
     statistic: str = "mean",
     printed: Mapping[str, Mapping[str, float]] | None = None,
+    notes: str = "",
 ) -> ResultTable:
     """One table of evaluations on the same pairs.
 
@@ -112,6 +113,7 @@ def compare_evaluations(
         statistic: One of `STATISTICS`, over the images.
         printed: A paper's figures by row, then by `Column.figure`, to put beside the measured
             ones.
+        notes: What else there is to know about the figures.
 
     Raises:
         InputError: If there is no such statistic, or nothing to compare.
@@ -138,7 +140,7 @@ def compare_evaluations(
         columns,
         title=f"{found[0].data}, {count} pair{'s' if count > 1 else ''}",
         notes=f"Figures are {over}, of pixels with ground truth 0 < d < "
-        f"{found[0].scores.max_disparity:g}.",
+        f"{found[0].scores.max_disparity:g}. {notes}".strip(),
         printed=printed,
     )
 
@@ -167,7 +169,7 @@ def comparison_table(
         heads.append(TableColumn("seeds", 0))
         for row, count in zip(table, seeds, strict=True):
             row.append(Spread(count))
-        notes += " ± is the standard deviation over the seeds."
+        notes = f"{notes} ± is the standard deviation over the seeds."
     beside = printed or {}
     for column in columns:
         heads.append(column.head)

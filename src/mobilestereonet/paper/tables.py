@@ -115,6 +115,13 @@ _ERROR_TABLES: dict[str, dict[str, tuple[str, ...]]] = {
 """Tables with errors, by data set: the fields of a row that make a registered name."""
 
 
+PRINTED_ON = (
+    "Paper: means over the images as its authors measured them, on the test split of SceneFlow or "
+    "on 40 validation pairs of KITTI 2015 (--split val)."
+)
+"""What the figures of `printed_errors` are."""
+
+
 def printed_errors(data: str) -> dict[str, dict[str, float]]:
     """The errors that the paper prints, all measured by its authors.
 
