@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from collections import defaultdict
 from collections.abc import Iterator
@@ -82,6 +83,9 @@ def _cell(text: str) -> str:
 def _plain(text: str) -> str:
     """Text whose signs mean nothing in Markdown, but for code between backticks."""
     parts = re.split(r"(`[^`]*`)", text)
-    signs = re.compile(r"([*_<>\[\]\\])")
-    escaped = [part if part.startswith("`") else signs.sub(r"\\\1", part) for part in parts]
+    signs = re.compile(r"([*_\[\]\\])")
+    escaped = [
+        part if part.startswith("`") else signs.sub(r"\\\1", html.escape(part, quote=False))
+        for part in parts
+    ]
     return "".join(escaped).replace("|", "\\|")
