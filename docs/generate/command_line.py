@@ -48,7 +48,14 @@ def _page(command: Any, name: str) -> str:
     lines = [f"# {name}", "", _text(command.help), "", "```text", usage, "```", ""]
     lines += _tables(command, context)
     if command.epilog:
-        lines += ["## Example", "", "```text", command.epilog.strip(), "```", ""]
+        lines += [
+            "## Example",
+            "",
+            "```text",
+            command.epilog.strip().removeprefix("Example: "),
+            "```",
+            "",
+        ]
     return "\n".join(lines)
 
 
