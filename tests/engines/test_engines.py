@@ -32,6 +32,14 @@ CONVERTED_ENGINES = [
     )
     for engine in CONVERTED.values()
 ]
+ONE_ENGINE = [
+    CONVERTED_ENGINES[0],
+    *(
+        pytest.param(*one.values, id=one.id, marks=[*one.marks, pytest.mark.exhaustive])
+        for one in CONVERTED_ENGINES[1:]
+    ),
+]
+"""For what the engines have from one class: one of them in each run of the tests."""
 
 
 def views(height, width, batch=1):
@@ -43,14 +51,25 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("name", ENGINES)
+NETWORKS = {
+    "msnet2d": ("msnet2d", {"estimator": "mode"}, ENGINES),
+    "msnet3d": ("msnet3d", {}, ("torch", "openvino")),
+    "coarse_pass": ("msnet3d", {"coarse_pass": True}, ("torch", "openvino")),
+    "cascade": ("msnet3d-cascade", {"max_disparity": 64, "band": 8}, ("torch", "onnxruntime")),
+}
+"""Networks, their options, and the engines that run them in each run of the tests."""
+
+
 @pytest.mark.parametrize(
-    ("network", "options"),
+    ("name", "network", "options"),
     [
-        ("msnet2d", {"estimator": "mode"}),
-        ("msnet3d", {}),
-        ("msnet3d", {"coarse_pass": True}),
-        ("msnet3d-cascade", {"max_disparity": 64, "band": 8}),
+        pytest.param(
+            *(name, network, options),
+            id=f"{case}-{name}",
+            marks=[] if name in engines else pytest.mark.exhaustive,
+        )
+        for case, (network, options, engines) in NETWORKS.items()
+        for name in ENGINES
     ],
 )
 def test_every_size_gives_what_the_network_gives(name, network, options, cache):
@@ -77,7 +96,7 @@ def test_any_type_of_views_and_any_number_of_threads_leave_no_trace():
     assert torch.get_num_threads() == threads
 
 
-@pytest.mark.parametrize("engine", CONVERTED_ENGINES)
+@pytest.mark.parametrize("engine", ONE_ENGINE)
 def test_conversions_are_kept_and_made_again_when_one_is_corrupted_or_not_to_be_had(
     engine, tmp_path, monkeypatch
 ):

@@ -86,11 +86,23 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
+COARSE = {"coarse_pass": True}
 CASCADE = {"coarse_pass": True, "coarse_hourglasses": 1, "max_disparity": 64, "band": 8}
 
 
-@pytest.mark.parametrize("fields", [{"coarse_pass": True}, CASCADE])
-@pytest.mark.parametrize("name", ["onnx", "openvino", "executorch", "litert"])
+EVERY = pytest.mark.exhaustive
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        pytest.param("onnx", CASCADE, id="onnx-cascade"),
+        pytest.param("openvino", COARSE, id="openvino-coarse_pass"),
+        pytest.param("onnx", COARSE, id="onnx-coarse_pass", marks=EVERY),
+        pytest.param("openvino", CASCADE, id="openvino-cascade", marks=EVERY),
+        *((name, fields) for name in ("executorch", "litert") for fields in (CASCADE, COARSE)),
+    ],
+)
 def test_files_of_networks_with_a_coarse_pass(name, fields, tmp_path):
     format_ = needs(name)
     torch.manual_seed(0)
