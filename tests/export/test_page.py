@@ -3,6 +3,7 @@
 import re
 import shutil
 import time
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -45,8 +46,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def address(folder):
+@contextmanager
+def served(folder):
+    """Serve a folder to this machine; gives the address."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=folder))
     Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_port}/"
@@ -54,21 +56,33 @@ def address(folder):
 
 
 @pytest.fixture(scope="module")
-def context(address):
-    """A browser that has been on the page, and what it asked and complained of."""
+def address(folder):
+    with served(folder) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def chromium():
     options = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     options += ["--disable-gpu-compositing", "--use-fake-device-for-media-stream"]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=[*options, "--use-fake-ui-for-media-stream"]
         )
-        context = browser.new_context(viewport={"width": 1280, "height": 900})
-        context.set_default_timeout(PATIENCE)
-        asked, errors = set(), []
-        context.on("request", lambda request: asked.add(request.url))
-        context.on("weberror", lambda error: errors.append(error.error))
-        yield context
+        yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def context(chromium, address):
+    """A browser that has been on the page, and what it asked and complained of."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(PATIENCE)
+    asked, errors = set(), []
+    context.on("request", lambda request: asked.add(request.url))
+    context.on("weberror", lambda error: errors.append(error.error))
+    yield context
+    context.close()
     assert {url.split("/")[2] for url in asked if url.startswith("http")} == {address.split("/")[2]}
     assert not errors
 
@@ -175,6 +189,40 @@ def test_what_a_visitor_may_do_wrong(context, address, folder, tmp_path):
     page.locator("#match").click()
     status(page, "The photos must have one size")
     page.close()
+
+
+GPU = """
+const adapter = { requestDevice: async () => REQUESTED };
+Object.defineProperty(navigator, "gpu", { value: { requestAdapter: async () => adapter } });
+"""
+"""A browser's WebGPU, as far as the page looks at it."""
+
+NO_SESSION = """
+export const env = { wasm: {} };
+export const InferenceSession = { create: async () => { throw new Error("no kernel"); } };
+"""
+"""A runtime for WebGPU that does not take the network."""
+
+
+@pytest.mark.parametrize(
+    ("device", "tried"), [("null", False), ("({ destroy() {} })", True)], ids=["device", "session"]
+)
+def test_a_gpu_that_fails_leaves_it_to_webassembly(chromium, folder, tmp_path, device, tried):
+    shutil.copytree(folder, tmp_path / "page")
+    worker = tmp_path / "page/worker.js"
+    worker.write_text(GPU.replace("REQUESTED", device) + worker.read_text())
+    (tmp_path / "page/runtime/ort.webgpu.min.mjs").write_text(NO_SESSION)
+    context = chromium.new_context()
+    context.set_default_timeout(PATIENCE)
+    asked = set()
+    context.on("request", lambda request: asked.add(request.url.rpartition("/")[2]))
+    with served(tmp_path / "page") as address:
+        page = open_page(context, address)
+        assert "thread" in page.locator("#status").inner_text()  # of WebAssembly
+        assert ("ort.webgpu.min.mjs" in asked) == tried
+        page.locator("#example").click()
+        status(page, re.compile(r"Matched in [\d.]+ s"))
+        context.close()
 
 
 def test_a_side_by_side_webcam(context, address):

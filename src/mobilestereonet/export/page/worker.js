@@ -12,20 +12,30 @@ self.onmessage = async ({ data }) => {
 
 async function load(given) {
   settings = given;
-  const gpu = (await navigator.gpu?.requestAdapter().catch(() => null)) ?? null;
-  self.postMessage({ stage: "Loading the runtime" });
-  ort = await import(gpu ? "./runtime/ort.webgpu.min.mjs" : "./runtime/ort.wasm.min.mjs");
-  ort.env.wasm.wasmPaths = new URL("runtime/", import.meta.url).href;
-  ort.env.wasm.numThreads = self.crossOriginIsolated ? navigator.hardwareConcurrency : 1;
   const model = await download(settings.model, settings.bytes);
-  self.postMessage({ stage: "Preparing the network" });
-  const provider = await open(model, gpu ? ["webgpu", "wasm"] : ["wasm"]);
+  const provider = await open(model, (await hasDevice()) ? ["webgpu", "wasm"] : ["wasm"]);
   self.postMessage({ ready: { provider, threads: ort.env.wasm.numThreads } });
 }
 
-// Opens the model with the first provider that takes it, and tells which.
+// Whether WebGPU gives a device: an adapter alone may have none, and the runtime waits for it in vain.
+async function hasDevice() {
+  try {
+    const adapter = await navigator.gpu.requestAdapter();
+    (await adapter.requestDevice()).destroy();
+    return true;
+  } catch {
+    return false;
+  }
+}
+
+// Opens the model with the first provider that takes it, each in its own runtime, and tells which.
 async function open(model, [provider, ...others]) {
   try {
+    self.postMessage({ stage: "Loading the runtime" });
+    ort = await import(`./runtime/ort.${provider}.min.mjs`);
+    ort.env.wasm.wasmPaths = new URL("runtime/", import.meta.url).href;
+    ort.env.wasm.numThreads = self.crossOriginIsolated ? navigator.hardwareConcurrency : 1;
+    self.postMessage({ stage: "Preparing the network" });
     session = await ort.InferenceSession.create(model, { executionProviders: [provider] });
     return provider;
   } catch (error) {
