@@ -521,6 +521,63 @@ def truths() -> Iterator[Case]:
         )
 
 
+def sources() -> Iterator[Case]:
+    """One view in place of two, calibrations of no camera, bags and tables of nothing."""
+    for words in (
+        "predict right.png -o out --model sgbm",
+        "predict left.png -o out --model sgbm --layout top-bottom --rotate 45",
+        "doctor left.png",
+        "batch alone -o out --model sgbm",
+        "video alone --frames out --model sgbm",
+    ):
+        yield Case(
+            "sources",
+            words.split(),
+            lambda folder: (
+                (folder / "alone").mkdir(),
+                shutil.copy(folder / "left.png", folder / "alone/a.png"),
+            ),
+        )
+    for name, text in {
+        "wide": MIDDLEBURY.replace("100 0 48", "5 0 48").replace("0 100 24", "0 5 24"),
+        "telephoto": MIDDLEBURY.replace("100 0 48", "9000 0 48").replace("0 100 24", "0 9000 24"),
+        "corner": MIDDLEBURY.replace(" 48;", " 2;"),
+        "squeezed": MIDDLEBURY.replace("0 100 24", "0 9000 24"),
+        "double": MIDDLEBURY.replace(" 48;", " 96;").replace(" 24;", " 48;").partition("width")[0],
+        "half": MIDDLEBURY.replace(" 48;", " 24;")
+        .replace(" 24; 0", " 12; 0")
+        .partition("width")[0],
+    }.items():
+        words = [*PREDICT.split(), "--depth", "d.npy", "--rig", f"{name}.txt"]
+        yield Case(
+            "sources", words, lambda folder, n=name, t=text: _put(folder / f"{n}.txt", t.encode())
+        )
+    for name, content in {"empty": b"", "text": b"hello", "magic": b"\x89MCAP0\r\n" * 2}.items():
+        for ending in ("mcap", "bag", "db3"):
+            for command in ("video", "rectify"):
+                place = "--frames maps" if command == "video" else "-o out --rig absent.yml"
+                words = f"{command} {name}.{ending} {place}".split()
+                yield Case(
+                    "bags",
+                    words,
+                    lambda folder, n=f"{name}.{ending}", c=content: _put(folder / n, c),
+                )
+    for words in (
+        *(
+            "live absent --model sgbm --show x",
+            "live left.png right.png --hz 0",
+            "web --rig left.png",
+        ),
+        *("compare sgbm absent.safetensors --data folder --root .", "compare sgbm"),
+        *(
+            "compare sgbm msnet4d --data folder --root .",
+            "evaluate --data folder --root . --rig x.yml",
+        ),
+        "evaluate --data folder --root . --rig left.png --model sgbm",
+    ):
+        yield Case("commands", words.split())
+
+
 def _npy(header: str) -> bytes:
     text = header.encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text) % 65536) + text
@@ -652,6 +709,7 @@ def main_() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     save_weights(create_model("msnet2d", max_disparity=32), _NETWORK)
     made = (pictures(), calibrations(), outputs(), weights(), truths(), settings(), values())
+    made += (sources(),)
     cases = [case for cases in made for case in cases]
     wanted = sys.argv[1:]
     cases = [case for case in cases if all(word in f"{case.kind} {case.words}" for word in wanted)]

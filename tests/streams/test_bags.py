@@ -406,6 +406,7 @@ def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
         (("run.mcap", "run.mcap", *topics(*VIEWS)), "a bag has both views, give it alone"),
         (("absent.bag", *topics(*VIEWS)), "absent.bag: no such bag"),
         (("text.bag", *topics(*VIEWS)), "text.bag: not a bag that can be read"),
+        (("bytes.bag", *topics(*VIEWS)), "bytes.bag: not a bag that can be read"),
         (("text.mcap", *topics(*VIEWS)), "text.mcap: not a bag that can be read"),
         (("text.db3", *topics(*VIEWS)), "text.db3: not a bag that can be read"),
         (("folder", *topics(*VIEWS)), "folder: not a bag that can be read"),
@@ -422,6 +423,7 @@ def test_bad_input_ends_with_one_line(rosbags, msnet, tmp_path, monkeypatch, arg
     write_bag(tmp_path / "run.mcap", frames=1)
     for ending in ("bag", "mcap", "db3"):
         (tmp_path / f"text.{ending}").write_text("no bag\n")
+    (tmp_path / "bytes.bag").write_bytes(b"\x89MCAP0\r\n" * 2)
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
     code, out, err = msnet("video", *arguments, "--frames", "maps", *SGBM)

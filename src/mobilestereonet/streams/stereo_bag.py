@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -162,8 +162,13 @@ def _open_reader(path: Path) -> Iterator[Any]:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     try:
-        # Bags of ROS 2 before Iron do not hold the definitions of their messages.
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        with ExitStack() as stack:
+            try:
+                # Bags of ROS 2 before Iron do not hold the definitions of their messages.
+                types = get_typestore(Stores.LATEST)
+                reader = stack.enter_context(AnyReader([path], default_typestore=types))
+            except Exception as error:  # whatever a parser makes of any bytes
+                raise InputError(f"{path}: not a bag that can be read: {error}") from error
             yield reader
     except (AnyReaderError, FileNotFoundError, AssertionError, IndexError, EOFError) as error:
         raise InputError(f"{path}: not a bag that can be read: {error}") from error
