@@ -13,6 +13,7 @@ from boxes import STYLE
 from levels import draw_pareto, draw_speed
 from networks import draw_network
 from peers import MEASURED, draw_figure_1, draw_measured
+from reliability import draw_reliability
 from soft_argmax import draw_soft_argmax
 from volume import draw_interlacing
 
@@ -28,6 +29,7 @@ def draw(folder: Path, ending: str = ".svg") -> None:
         draw_soft_argmax(folder / f"soft_argmax{ending}")
         draw_speed(folder / f"speed{ending}")
         draw_pareto(folder / f"pareto{ending}")
+        draw_reliability(folder / f"reliability{ending}")
         draw_figure_1(folder / f"figure_1{ending}")
         if MEASURED.is_file():
             draw_measured(folder / f"figure_1_measured{ending}")

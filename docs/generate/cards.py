@@ -81,6 +81,7 @@ def _page(version: str, content: dict[str, Any]) -> str:
         [f'matcher = StereoMatcher.from_pretrained("{version}")', "```", ""],
         _facts(content),
         _figures(content["metrics"]),
+        _confidence(content.get("confidence")),
         _licence(training),
         ["## Training", "", *_data(training), "", *_stages(training["stages"]), ""],
         ["Each run was started so, with `START` and the values of the table:", ""],
@@ -116,6 +117,28 @@ def _figures(metrics: dict[str, Any]) -> list[str]:
     row = "| {pair} | {epe_px:.2f} | {d1_percent:.1f} |"
     rows = [row.format(**pair) for pair in metrics["pairs"]]
     return [_FIGURES.format(protocol=metrics["protocol"]), *rows, "", _PARETO, ""]
+
+
+def _confidence(facts: dict[str, Any] | None) -> list[str]:
+    if facts is None:
+        return []
+    formula = "sigmoid({rise:.4f} log(c) - {fall:.4f} log(1 - c) + {offset:.4f})"
+    size = "{} x {}".format(*facts["size"])
+    lines = ["## Confidence", ""]
+    lines += ["Of the network's own confidence c, the probability of an error below 3 px is", ""]
+    lines += ["```text", formula.format(**facts["fit"]), "```", ""]
+    lines += [
+        f"by `msnet fit-confidence` on {facts['scenes']} procedural scenes of {size} (seed "
+        f"{facts['seed']}, {facts['precision']}).",
+        f"There the calibration error is {100 * facts['error']:.1f} %, and was "
+        f"{100 * facts['error_before']:.1f} %. Other pairs are in "
+        "[what the confidence says](../accuracy.md#what-the-confidence-says).",
+        "",
+        "| confidence | pixels | within 3 px |",
+        "| --- | --- | --- |",
+    ]
+    row = "| {said:.3f} | {pixels:,} | {true:.3f} |"
+    return [*lines, *(row.format(**found) for found in facts["table"]), ""]
 
 
 def _licence(training: dict[str, Any]) -> list[str]:

@@ -98,6 +98,8 @@ MISTAKES = {
     ),
     "average left.ckpt -o out.safetensors": ("",),
     "average msnet2d": ("-o out.ckpt", "-o out.safetensors --model msnet4d"),
+    "fit-confidence left.ckpt -o out.safetensors": ("",),
+    "fit-confidence msnet2d": ("-o out.ckpt", "-o out.safetensors --scenes 0"),
     "plot-run absent": ("",),
     "export": ("", "onx"),
     "export onnx": (*NETWORK, "--precision fp8", "--calibration absent", "--height 0"),

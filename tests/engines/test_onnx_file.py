@@ -1,5 +1,8 @@
 """ONNX files of other people: any two views and a disparity, by options or by metadata."""
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +13,7 @@ from mobilestereonet.engines.onnx_file import OnnxFileEngine
 from mobilestereonet.engines.sgbm import StereoSGBM
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher
+from mobilestereonet.nets import ConfidenceFit
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -113,6 +117,22 @@ def test_its_metadata_say_the_same(tmp_path):
     assert engine.preprocessing.std == (4, 4, 4)
     assert (engine.preprocessing.scale, engine.size_multiple) == (255, 8)
     assert OnnxFileEngine(f"onnx:{file},size_multiple=4").size_multiple == 4
+    assert engine.confidence_fit is None
+
+
+def test_the_fit_of_a_confidence_is_in_the_metadata(tmp_path):
+    fit = ConfidenceFit(rise=0.5, fall=0.25, offset=1.0)
+    outputs = {"outputs": ("disparity", "confidence"), "scale": 0.1}
+    texts = {"scale": "1", "confidence_fit": json.dumps(asdict(fit))}
+    matchers = [
+        StereoMatcher.from_pretrained(
+            f"onnx:{write(tmp_path / name, metadata=metadata, **outputs)}", confidence=True
+        )
+        for name, metadata in (("raw.onnx", {"scale": "1"}), ("fit.onnx", texts))
+    ]
+    views = torch.rand(2, 1, 3, 20, 30)
+    raw, found = (matcher.infer(*views).confidence for matcher in matchers)
+    torch.testing.assert_close(found, fit(raw))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mobilestereonet.engines.onnx_file import OnnxFileEngine
 from mobilestereonet.export import FORMATS, calibration_pairs, export_model
 from mobilestereonet.export.base import Format
 from mobilestereonet.export.metadata import describe
-from mobilestereonet.nets import build_model
+from mobilestereonet.nets import ConfidenceFit, build_model
 from mobilestereonet.nets.model import Prediction, Preprocessing, StereoModel
 from small_views import for_small_views, with_statistics
 
@@ -32,6 +32,7 @@ def net():
                 module.bias.normal_(0, 0.1)
                 module.running_mean.normal_(0, 0.1)
                 module.running_var.uniform_(0.5, 1.5)
+    net.confidence_fit = ConfidenceFit(rise=1.5, fall=0.5, offset=-1.0)
     return net
 
 
@@ -82,7 +83,8 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["colour_order"] == "RGB"
     assert metadata["mean"] == "0.485, 0.456, 0.406"
     assert metadata["disparity_range"] == "0..31"
-    assert metadata["confidence"].startswith("probability that the disparity is within 2 px")
+    assert metadata["confidence"].startswith("the network's own: probability that the")
+    assert metadata["confidence_fit"] == '{"rise": 1.5, "fall": 0.5, "offset": -1.0}'
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 

@@ -21,7 +21,10 @@ class FilterOptions:
     min_confidence: Annotated[
         float,
         typer.Option(
-            metavar="<p>", min=0, max=1, help="No depth where the network is less confident."
+            metavar="<p>",
+            min=0,
+            max=1,
+            help="No depth where the probability of an error below 3 px is less.",
         ),
     ] = 0.0
     max_depth: Annotated[

@@ -23,6 +23,7 @@ from mobilestereonet.cli.demo import demo
 from mobilestereonet.cli.doctor import doctor
 from mobilestereonet.cli.evaluate import evaluate
 from mobilestereonet.cli.export import export
+from mobilestereonet.cli.fit_confidence import fit_confidence
 from mobilestereonet.cli.groups import with_options_of_groups
 from mobilestereonet.cli.info import info
 from mobilestereonet.cli.live import LiveCommand, live
@@ -72,6 +73,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         train: "train runs/first --model msnet2d --set lr=5e-4",
         plot_run: "plot-run runs/first",
         average: "average runs/first/last.ckpt runs/second/last.ckpt",
+        fit_confidence: "fit-confidence own.safetensors -o fitted.safetensors",
         ablate: "ablate runs --models msnet2d --vary lr=1e-3,5e-4 --seeds 3",
     },
 }

@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from mobilestereonet.nets.confidence import ConfidenceFit
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
 
@@ -16,6 +17,9 @@ class Engine(Protocol):
 
     Its attributes say what "preprocessed" means, so that whoever feeds an engine needs no list of
     engines: `mobilestereonet.inference` preprocesses and pads exactly as they say.
+
+    An engine may also have a ``confidence_fit``, the calibration of its confidence: the matcher
+    applies it after the refinement, which takes the confidence as it is.
     """
 
     @property
@@ -79,3 +83,9 @@ class Engine(Protocol):
             InputError: If the shapes do not fit.
         """
         ...
+
+
+def confidence_fit(engine: Engine) -> ConfidenceFit | None:
+    """Calibration of an engine's confidence; None where it has none."""
+    fit: ConfidenceFit | None = getattr(engine, "confidence_fit", None)
+    return fit

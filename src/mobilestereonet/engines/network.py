@@ -32,6 +32,7 @@ class NetworkEngine(ABC):
 
     Attributes:
         has_confidence: Whether the network has scores, from which the confidence is computed.
+        confidence_fit: Calibration of the confidence, which is for the matcher to apply.
     """
 
     name: ClassVar[str]
@@ -49,6 +50,7 @@ class NetworkEngine(ABC):
         self.min_side = net.min_side
         self.max_disparity = net.max_disparity
         self.has_confidence = isinstance(net, VolumeModel)
+        self.confidence_fit = net.confidence_fit
 
     def __call__(self, left: Tensor, right: Tensor, confidence: bool = False) -> Prediction:
         """Match a batch of pairs, see `Engine`."""

@@ -22,6 +22,7 @@ from mobilestereonet.engines.onnx_options import (
 from mobilestereonet.engines.onnxruntime import find_provider, open_session
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets.model import Prediction, Preprocessing
+from mobilestereonet.weights.files import parse_fit
 
 _CONFIDENCE = "confidence"
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
@@ -54,6 +55,7 @@ class OnnxFileEngine:
         options: What it expects.
         fixed_size: Height and width that the file takes; None if it takes any.
         has_confidence: Whether it has an output ``confidence``, as this package's exports have.
+        confidence_fit: Calibration of the confidence in the file's metadata.
     """
 
     name = "onnxruntime"
@@ -77,6 +79,7 @@ class OnnxFileEngine:
         outputs = self._session.get_outputs()
         self._output = _disparity(self.path, outputs, self.options)
         self.has_confidence = _CONFIDENCE in [description.name for description in outputs]
+        self.confidence_fit = parse_fit(metadata, str(self.path))
         shape = self._inputs[0].shape
         self._channels_last = shape[1] != 3 and shape[3] == 3
         height, width = shape[1:3] if self._channels_last else shape[2:]

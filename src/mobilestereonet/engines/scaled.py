@@ -9,8 +9,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from mobilestereonet.data.images import pad, unpad
-from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.base import Engine, confidence_fit
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.confidence import ConfidenceFit
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
 MIN_SCALE = 0.25
@@ -30,7 +31,7 @@ def check_scale(scale: float) -> None:
 class ScaledEngine:
     """Another engine, run on resized views; its results are in the size and pixels of the views.
 
-    But for the confidence: the engine's 2 px are pixels of the smaller views.
+    But for the confidence, whose errors are counted in pixels of the smaller views.
 
     Args:
         engine: The engine.
@@ -77,6 +78,11 @@ class ScaledEngine:
     def has_confidence(self) -> bool:
         """Whether the engine has a confidence."""
         return self.engine.has_confidence
+
+    @property
+    def confidence_fit(self) -> ConfidenceFit | None:
+        """Calibration of the engine's confidence."""
+        return confidence_fit(self.engine)
 
     @property
     def min_side(self) -> int:

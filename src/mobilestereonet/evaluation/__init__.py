@@ -23,6 +23,12 @@ from mobilestereonet.evaluation.evaluate import (
 )
 from mobilestereonet.evaluation.matching import DisparityFn
 from mobilestereonet.evaluation.pareto import ParetoPoint, pareto_front, plot_pareto
+from mobilestereonet.evaluation.reliability import (
+    Reliability,
+    confidences,
+    fit_confidence,
+    reliability,
+)
 from mobilestereonet.evaluation.report import legend
 from mobilestereonet.evaluation.result_table import ResultTable, Spread
 from mobilestereonet.evaluation.sparsification import (
@@ -41,6 +47,7 @@ __all__ = [
     "Evaluation",
     "EvaluationProtocol",
     "ParetoPoint",
+    "Reliability",
     "ResultTable",
     "Sparsification",
     "Spread",
@@ -49,7 +56,9 @@ __all__ = [
     "check_submission",
     "compare_evaluations",
     "comparison_table",
+    "confidences",
     "evaluate",
+    "fit_confidence",
     "leaderboard_columns",
     "legend",
     "open_benchmark",
@@ -57,6 +66,7 @@ __all__ = [
     "plan_submission",
     "plot_pareto",
     "plot_sparsification",
+    "reliability",
     "save_evaluations",
     "sparsification",
     "write_submission",

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
+
 import mobilestereonet
 from mobilestereonet.engines.tracing import Size
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.confidence import MIN_PROBABILITY
 from mobilestereonet.nets.model import StereoModel
 from mobilestereonet.nets.volume_model import VolumeModel
 from mobilestereonet.weights import card, is_embedded
+from mobilestereonet.weights.files import CONFIDENCE_FIT
 
 
 def describe(
@@ -36,9 +41,13 @@ def describe(
     """
     known = embedded and is_embedded(model)
     preprocessing = net.preprocessing
-    confidence = {
-        "confidence": "probability that the disparity is within 2 px, float32, (1, height, width)"
-    }
+    confidence = {"confidence": "the network's own, 0..1, float32, (1, height, width)"}
+    if net.confidence_fit is not None:
+        confidence[CONFIDENCE_FIT] = json.dumps(asdict(net.confidence_fit))
+        confidence["confidence_probability"] = (
+            "of an error below 3 px: sigmoid(rise * log(c) - fall * log(1 - c) + offset), with c "
+            f"clamped to {MIN_PROBABILITY:g}..{1 - MIN_PROBABILITY:g}"
+        )
     return {
         "model": model,
         "package": f"mobilestereonet {mobilestereonet.__version__}",

@@ -15,7 +15,7 @@ from torch import Tensor
 from mobilestereonet.accelerate.modules import device_of
 from mobilestereonet.data.rig import Rig
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.base import Engine, confidence_fit
 from mobilestereonet.engines.choose import open_engine
 from mobilestereonet.engines.scaled import ScaledEngine, check_scale
 from mobilestereonet.errors import InputError
@@ -112,7 +112,7 @@ class StereoMatcher:
                 margins included; None for one piece at any size. By default `TILE_SIZE`, for pairs
                 above `MAX_UNTILED_PIXELS`: in tiles any pair needs what Full HD needs in one
                 piece, some 6 GB with msnet3d in fp32, and half of that in bf16.
-            confidence: Results have a confidence, at no cost.
+            confidence: Results have a confidence, at no cost: see `StereoResult`.
             left_right: Results have the right view's disparity and the left-right check, for
                 twice the time.
             refine: Refine the disparity by the views, see `inference.refine` and
@@ -496,4 +496,7 @@ class StereoMatcher:
             refine=self.refine,
             confidence=confidence,
         )
+        fit = confidence_fit(self.engine)
+        if sure is not None and fit is not None:
+            sure = fit(sure)
         return Prediction(disparity + self.shift, sure)

@@ -47,8 +47,10 @@ class StereoResult:
         left: Left view, (H, W, 3) uint8 RGB.
         disparity: (H, W) float32, in pixels of the left view.
         valid: (H, W) bool, False where the disparity is not known.
-        confidence: (H, W) float32 in 0..1: how probable the network holds it that the disparity
-            is within 2 px of its estimate; None where it was not asked for.
+        confidence: (H, W) float32 in 0..1: the probability that the disparity's error is below
+            3 px, where it was fitted to the weights, as to those of this package (`msnet
+            fit-confidence`). Of other weights: how probable the network itself holds it that the
+            disparity is within 2 px of its estimate. None where it was not asked for.
         right_disparity: (H, W) float32, in pixels of the right view, whose pixel (x, y) matches
             left pixel (x + disparity, y); None where it was not asked for.
         occluded: (H, W) bool, True where the left-right check fails: the right camera does not see

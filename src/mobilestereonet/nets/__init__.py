@@ -14,6 +14,7 @@ from mobilestereonet.nets import (  # they register their names
     msnet,
     psmnet,
 )
+from mobilestereonet.nets.confidence import ConfidenceFit
 from mobilestereonet.nets.model import (
     IMAGENET,
     Prediction,
@@ -36,6 +37,7 @@ from mobilestereonet.nets.volume_model import VolumeModel, VolumeOutputs
 
 __all__ = [
     "IMAGENET",
+    "ConfidenceFit",
     "ModelInfo",
     "Prediction",
     "Preprocessing",

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.errors import InputError
+from mobilestereonet.nets.confidence import ConfidenceFit
 
 MIN_STD = 1e-6
 """Standard deviation of a view, in the unit of its values, below which it counts as constant."""
@@ -60,8 +61,10 @@ class Prediction(NamedTuple):
 
     Attributes:
         disparity: (B, H, W), in pixels of the left view.
-        confidence: (B, H, W) in 0..1, the probability that the disparity is within 2 px of the
-            estimate; None from networks that regress the disparity without scores.
+        confidence: (B, H, W) in 0..1; None from networks that regress the disparity without
+            scores. From a network, its own: the probability that the disparity is within 2 px of
+            the estimate. From a `StereoMatcher`, the probability of an error below 3 px, where the
+            weights have a `ConfidenceFit`.
     """
 
     disparity: Tensor
@@ -84,12 +87,15 @@ class StereoModel(nn.Module):
         size_multiple: Height and width of an input must be multiples of this.
         min_side: Smallest height and width of an input.
         exportable: Whether a graph of operators can hold the network.
+        confidence_fit: What makes a probability of its confidence, fitted to its weights; None
+            where nothing was fitted.
     """
 
     exportable: ClassVar[bool] = True
     preprocessing: ClassVar[Preprocessing] = IMAGENET
     size_multiple: int = 16
     min_side: int = 1
+    confidence_fit: ConfidenceFit | None = None
 
     @classmethod
     def config_of_state(cls, config: Any, names: Container[str]) -> dict[str, Any]:

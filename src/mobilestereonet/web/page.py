@@ -178,7 +178,7 @@ def _results() -> tuple[list[Any], Any]:
                 elem_id="readout",
             )
         with gr.Tab("Confidence"):
-            gr.Markdown("White: sure to be within 2 px. Black: a guess. (sgbm tells none.)")
+            gr.Markdown("White: sure to be within 3 px. Black: a guess. (sgbm tells none.)")
             confidence = gr.Image(buttons=["fullscreen"], elem_id="confidence", **plain)
         with gr.Tab("3D") as points:
             gr.Markdown("Drag to turn, scroll or pinch to come closer. Needs the cameras' numbers.")

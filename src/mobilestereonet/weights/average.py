@@ -24,7 +24,7 @@ def average_weights(paths: Sequence[str | Path], *, model: str | None = None) ->
         model: The network, where the files do not tell, see `load_model`.
 
     Returns:
-        The network, in eval mode.
+        The network, in eval mode, without a fit of the confidence.
 
     Raises:
         FileNotFoundError: If there is nothing of a name.
@@ -45,4 +45,5 @@ def average_weights(paths: Sequence[str | Path], *, model: str | None = None) ->
     for name, target in states[0].items():
         if target.is_floating_point():
             target.copy_(torch.stack([state[name].double() for state in states]).mean(dim=0))
+    nets[0].confidence_fit = None  # that of other weights
     return nets[0]

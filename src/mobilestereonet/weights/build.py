@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
     _check_values(weights.source, state, own)
     counters = {key: value for key, value in own.items() if key.endswith(COUNTER)}
     net.load_state_dict(counters | state)
+    if replace(config, max_disparity=net.config.max_disparity) == net.config:
+        net.confidence_fit = weights.confidence_fit  # of another estimator it does not hold
     if bare and not overrides:
         _warn_of_defaults(weights.source, net, values)
     elif not bare and not weights.config:

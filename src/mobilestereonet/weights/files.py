@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,15 @@ from torch import Tensor
 
 from mobilestereonet.atomic import write_atomically, write_text
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import StereoModel, list_models, model_info, model_name
+from mobilestereonet.nets import ConfidenceFit, StereoModel, list_models, model_info, model_name
 from mobilestereonet.text import parse_json, shorten
 
 CHECKPOINT_ENDINGS = (".bin", ".ckpt", ".pt", ".pth", ".tar")
 """Endings of PyTorch's own files, which `torch.save` writes."""
 COUNTER = "num_batches_tracked"
 """A buffer that only a batch norm without momentum would read, and there is none: not saved."""
+CONFIDENCE_FIT = "confidence_fit"
+"""Key of a file's metadata for its `ConfidenceFit`."""
 _FAMILY = "msnet2d"
 """Family of weights files that do not name their network: their config tells which one it is."""
 
@@ -36,12 +39,14 @@ class WeightsFile:
         model: Registered name of the network, or a class reference such as "my_net.py:MyNet";
             None where the file does not tell.
         config: Values of the network's config, all or some.
+        confidence_fit: Calibration of the confidence; None where the file has none.
     """
 
     source: str
     state: dict[str, Tensor]
     model: str | None = None
     config: dict[str, Any] = field(default_factory=dict)
+    confidence_fit: ConfidenceFit | None = None
 
 
 def save_weights(
@@ -51,7 +56,7 @@ def save_weights(
     card: dict[str, Any] | None = None,
     dtype: torch.dtype | None = None,
 ) -> None:
-    """Write a network as safetensors, with its name and its config in the metadata.
+    """Write a network as safetensors, with its name, config and `ConfidenceFit` in the metadata.
 
     Args:
         net: The network, of any architecture.
@@ -80,6 +85,8 @@ def save_weights(
         if not tensors[name].isfinite().all():
             raise InputError(f"{path}: {name} is not finite as {target}: nothing saved")
     metadata = {"model": model_reference(net), "config": json.dumps(asdict(net.config))}
+    if net.confidence_fit is not None:
+        metadata[CONFIDENCE_FIT] = json.dumps(asdict(net.confidence_fit))
     if card is not None:
         write_json(path.with_suffix(".json"), card)
     write_atomically(path, lambda file: file.write_bytes(save(tensors, metadata)))
@@ -122,7 +129,25 @@ def read_weights_file(path: Path) -> WeightsFile:
         raise InputError(f"{path}: holds no tensors")
     if "config" not in metadata:
         return WeightsFile(str(path), state, metadata.get("model"))
-    return WeightsFile(str(path), state, *parse_config(path, metadata))
+    fit = parse_fit(metadata, str(path))
+    return WeightsFile(str(path), state, *parse_config(path, metadata), confidence_fit=fit)
+
+
+def parse_fit(metadata: Mapping[str, str], source: str) -> ConfidenceFit | None:
+    """The calibration of the confidence in a file's metadata; None where there is none.
+
+    Raises:
+        InputError: If it is damaged.
+    """
+    if CONFIDENCE_FIT not in metadata:
+        return None
+    values = parse_json(metadata[CONFIDENCE_FIT], f"{source}: its {CONFIDENCE_FIT}")
+    try:
+        return ConfidenceFit(**values)
+    except (InputError, TypeError) as error:
+        raise InputError(
+            f"{source}: its {CONFIDENCE_FIT} does not fit this version: {error}"
+        ) from None
 
 
 def parse_config(path: Path, record: dict[str, Any]) -> tuple[str, dict[str, Any]]:
