@@ -122,11 +122,13 @@ def _figures(metrics: dict[str, Any]) -> list[str]:
 def _confidence(facts: dict[str, Any] | None) -> list[str]:
     if facts is None:
         return []
-    formula = "sigmoid({rise:.4f} log(c) - {fall:.4f} log(1 - c) + {offset:.4f})"
+    formula = "sigmoid({rise:.4f} log(c) - {fall:.4f} log(1 - c) {sign} {size:.4f})"
+    offset = facts["fit"]["offset"]
+    values = facts["fit"] | {"sign": "-" if offset < 0 else "+", "size": abs(offset)}
     size = "{} x {}".format(*facts["size"])
     lines = ["## Confidence", ""]
     lines += ["Of the network's own confidence c, the probability of an error below 3 px is", ""]
-    lines += ["```text", formula.format(**facts["fit"]), "```", ""]
+    lines += ["```text", formula.format(**values), "```", ""]
     lines += [
         f"by `msnet fit-confidence` on {facts['scenes']} procedural scenes of {size} (seed "
         f"{facts['seed']}, {facts['precision']}).",

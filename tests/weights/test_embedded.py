@@ -14,7 +14,7 @@ from mobilestereonet import (
     versions,
     weights,
 )
-from mobilestereonet.nets import is_model, model_config
+from mobilestereonet.nets import ConfidenceFit, is_model, model_config
 
 
 @pytest.fixture
@@ -118,6 +118,8 @@ def test_every_version_loads_and_has_a_card(name):
         assert tuple(preprocessing["mean"]) == net.preprocessing.mean
         assert tuple(preprocessing["std"]) == net.preprocessing.std
         assert preprocessing["scale"] == net.preprocessing.scale
+        assert net.confidence_fit == ConfidenceFit(**card["confidence"]["fit"])
+        assert card["confidence"]["error"] < 0.03 < card["confidence"]["error_before"]
         for row in card["metrics"]["pairs"]:
             assert row["epe_px"] > 0
             assert 0 < row["d1_percent"] < 100

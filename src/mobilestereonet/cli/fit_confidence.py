@@ -44,6 +44,7 @@ def fit_confidence(
         str, typer.Option(help="Precision of the network.", callback=one_of(PRECISIONS))
     ] = "auto",
     threads: Annotated[int | None, typer.Option(min=1, help="Threads on the CPU.")] = None,
+    half: Annotated[bool, typer.Option(help="Write half precision, half the size.")] = False,
 ) -> None:
     """Fit the confidence of weights: a probability that the error is below 3 px.
 
@@ -83,7 +84,8 @@ def fit_confidence(
         "table": after.table(),
     }
     net.confidence_fit = fit
-    save_weights(net, output, card=_card(weights) | {"confidence": facts})
+    card = _card(weights) | {"confidence": facts}
+    save_weights(net, output, card=card, dtype=torch.float16 if half else None)
     _print(output, before, after)
 
 

@@ -48,7 +48,7 @@ class Reliability:
         """Rows of the bins that are not empty, as a model card has them."""
         return [
             {
-                "from": round(index / BINS, 1),
+                "from": round(int(index) / BINS, 1),
                 "pixels": int(self.pixels[index]),
                 "said": round(float(self.said[index]), 4),
                 "true": round(float(self.true[index]), 4),
