@@ -36,7 +36,7 @@ def draw_reliability(path: Path) -> None:
                     label=f"{model}, {name}: error {100 * curve['error']:.1f} %",
                 )
         axes.set(title=title, xlabel="confidence", xlim=(0, 1), ylim=(0, 1), aspect="equal")
-        axes.legend(loc="upper left", frameon=False, fontsize=8)
+        axes.legend(loc="lower right", frameon=False, fontsize=8)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("share of pixels within 3 px")
     save(figure, path)

@@ -73,7 +73,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         train: "train runs/first --model msnet2d --set lr=5e-4",
         plot_run: "plot-run runs/first",
         average: "average runs/first/last.ckpt runs/second/last.ckpt",
-        fit_confidence: "fit-confidence own.safetensors -o fitted.safetensors",
+        fit_confidence: "fit-confidence msnet2d -o fitted.safetensors",
         ablate: "ablate runs --models msnet2d --vary lr=1e-3,5e-4 --seeds 3",
     },
 }
