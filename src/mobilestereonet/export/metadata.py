@@ -41,7 +41,10 @@ def describe(
     """
     known = embedded and is_embedded(model)
     preprocessing = net.preprocessing
-    confidence = {"confidence": "the network's own, 0..1, float32, (1, height, width)"}
+    confidence = {
+        "confidence": "the network's own: probability that the disparity is within 2 px of its "
+        "estimate, float32, (1, height, width)"
+    }
     if net.confidence_fit is not None:
         confidence[CONFIDENCE_FIT] = json.dumps(asdict(net.confidence_fit))
         confidence["confidence_probability"] = (
