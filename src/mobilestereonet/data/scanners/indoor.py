@@ -54,8 +54,8 @@ class Booster(PatternDataSet):
         │   └── disp_02.npy              the same of the right view (optional, for occlusion)
         └── test/balanced/...
 
-    Source: Zama Ramirez et al., CVPR 2022, and the data set's page. The arguments and the errors
-    are those of `StereoDataSet`.
+    Published by Zama Ramirez et al., CVPR 2022; the layout was not compared with the release. The
+    arguments and the errors are those of `StereoDataSet`.
 
     Args:
         split: ``train`` or ``test``; the latter has no ground truth.

@@ -63,9 +63,9 @@ class FallingThings(PatternDataSet):
 
     The cameras are 6 cm apart. Depth ends at 6.5534 m: what is farther counts as unknown.
 
-    Source: the data set's ``readme.txt`` and paper (Tremblay et al., CVPR Workshops 2018), and
-    torchvision's documentation of ``FallingThingsStereo``. The arguments and the errors are those
-    of `StereoDataSet`.
+    Published by Tremblay et al., CVPR Workshops 2018; the layout is that of torchvision's
+    documentation of ``FallingThingsStereo``, and was not compared with the release. The arguments
+    and the errors are those of `StereoDataSet`.
 
     Args:
         split: ``all``, ``single`` (one object falls) or ``mixed`` (2 to 10).
@@ -181,8 +181,8 @@ class Spring(PatternDataSet):
     views: every second row and column is read. It needs h5py (the extra ``data``). The cameras are
     6.5 cm apart.
 
-    Source: Mehl et al., CVPR 2023, and the data set's page. The arguments and the errors are those
-    of `StereoDataSet`.
+    Published by Mehl et al., CVPR 2023; the layout was not compared with the release. The
+    arguments and the errors are those of `StereoDataSet`.
 
     Args:
         split: ``train`` or ``test``; the latter has no ground truth.
