@@ -52,7 +52,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         predict: "predict left.png right.png --rig stereo.yml --depth depth.png",
         batch: "batch left/ right/ -o maps --skip-existing",
         video: "video left.mp4 right.mp4 -o disparity.mp4",
-        live: "live 0 --show",
+        live: "live 0 --show browser",
         web: "web --port 8000",
     },
     "Cameras": {
