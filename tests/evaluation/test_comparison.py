@@ -134,7 +134,7 @@ def test_runs_that_differ_by_their_seed():
     recipe = Recipe(model="msnet2d", steps=5)
     recipes = {
         "a": recipe,
-        "b": dataclasses.replace(recipe, seed=1, textures="/somewhere"),
+        "b": dataclasses.replace(recipe, seed=1),
         "c": override(recipe, {"lr": 5e-4, "net.max_disparity": 96}),
         "d": override(recipe, {"model": "msnet3d"}),
     }
@@ -142,6 +142,11 @@ def test_runs_that_differ_by_their_seed():
         "msnet2d, lr=0.001": ["a", "b"],
         "msnet2d, net.max_disparity=96, lr=0.0005": ["c"],
         "msnet3d": ["d"],
+    }
+    photos = [dataclasses.replace(recipe, textures=folder) for folder in ("/one", "/moved", None)]
+    assert group_by_seed(dict(zip("abc", photos, strict=True))) == {
+        "msnet2d, textures=/one": ["a", "b"],
+        "msnet2d, textures=None": ["c"],
     }
     timed = [override(recipe, {"duration": "5m", "steps": steps}) for steps in (7, 8)]
     assert list(group_by_seed({"a": timed[0], "b": timed[1]}).values()) == [["a", "b"]]

@@ -234,17 +234,21 @@ class Recipe:
 
     def changes(self, now: Recipe) -> str:
         """Values in which ``now`` differs, in words; files may have moved, a clock counts steps."""
-        changed = differences(self, now)
-        moved = {name for name in _LOCATIONS if getattr(self, name) and getattr(now, name)}
-        if self.duration is not None and now.duration is not None:
-            moved.add("steps")
-        return ", ".join(
-            f"{name} {old} -> {new}" for name, (old, new) in changed.items() if name not in moved
-        )
+        changed = changed_values(self, now)
+        return ", ".join(f"{name} {old} -> {new}" for name, (old, new) in changed.items())
 
     def to_json(self) -> str:
         """The whole recipe as indented JSON."""
         return json.dumps(dataclasses.asdict(self), indent=2)
+
+
+def changed_values(before: Recipe, now: Recipe) -> dict[str, tuple[Any, Any]]:
+    """Values in which two recipes differ; files may have moved, a clock counts steps."""
+    moved = {name for name in _LOCATIONS if getattr(before, name) and getattr(now, name)}
+    if before.duration is not None and now.duration is not None:
+        moved.add("steps")
+    changed = differences(before, now)
+    return {name: pair for name, pair in changed.items() if name not in moved}
 
 
 def absolute_reference(reference: str) -> str:

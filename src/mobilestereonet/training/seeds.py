@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mobilestereonet.settings import UNSET, differences
-from mobilestereonet.training.recipe import Recipe
+from mobilestereonet.settings import UNSET
+from mobilestereonet.training.recipe import Recipe, changed_values
 
 
 def group_by_seed(recipes: Mapping[str, Recipe]) -> dict[str, list[str]]:
@@ -40,10 +40,9 @@ def variation_label(model: str, values: Mapping[str, Any]) -> str:
 
 def _changed(one: Recipe, other: Recipe) -> dict[str, tuple[Any, Any]]:
     """Values in which two runs differ, seeds and places of files apart."""
-    same = {"seed", "root", "textures"}
-    if one.duration is not None and other.duration is not None:
-        same.add("steps")  # as many as there was time for
-    return {name: pair for name, pair in differences(one, other).items() if name not in same}
+    changed = changed_values(one, other)
+    changed.pop("seed", None)
+    return changed
 
 
 def _label(recipe: Recipe, others: list[Recipe]) -> str:
