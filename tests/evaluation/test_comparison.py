@@ -152,6 +152,11 @@ def test_runs_that_differ_by_their_seed():
     assert list(group_by_seed({"a": timed[0], "b": timed[1]}).values()) == [["a", "b"]]
 
 
+def test_networks_of_one_name_are_two_rows():
+    recipes = {name: Recipe(model=f"{name}/net.py:Net", steps=5) for name in "xy"}
+    assert group_by_seed(recipes) == {"net.py:Net": ["x"], "net.py:Net (2)": ["y"]}
+
+
 @pytest.fixture
 def pairs(tmp_path):
     folder = tmp_path / "pairs"

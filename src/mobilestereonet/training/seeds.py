@@ -18,7 +18,8 @@ def group_by_seed(recipes: Mapping[str, Recipe]) -> dict[str, list[str]]:
 
     Returns:
         Names of the runs by the label of their group: the network, and the values in which it
-        differs from other groups with this network, such as ``msnet2d, lr=0.0005``.
+        differs from other groups with this network, such as ``msnet2d, lr=0.0005``. Labels that
+        would be the same, as of two files with classes of one name, are numbered.
     """
     groups: list[list[str]] = []
     for name, recipe in recipes.items():
@@ -29,7 +30,15 @@ def group_by_seed(recipes: Mapping[str, Recipe]) -> dict[str, list[str]]:
         else:
             groups.append([name])
     firsts = [recipes[group[0]] for group in groups]
-    return {_label(recipes[group[0]], firsts): group for group in groups}
+    labelled: dict[str, list[str]] = {}
+    for group in groups:
+        label = unique = _label(recipes[group[0]], firsts)
+        number = 1
+        while unique in labelled:
+            number += 1
+            unique = f"{label} ({number})"
+        labelled[unique] = group
+    return labelled
 
 
 def variation_label(model: str, values: Mapping[str, Any]) -> str:
