@@ -132,3 +132,10 @@ def test_a_tensor_stays_on_its_device():
 def test_bad_tensors_are_named(view, message):
     with pytest.raises(InputError, match=message):
         load_pair(view, view)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_an_unknown_layout_is_refused(alone):
+    left, right = random_pair(20, 40)
+    with pytest.raises(InputError, match="side-by-side, top-bottom; got 'top-down'"):
+        load_pair(left, None if alone else right, layout="top-down")

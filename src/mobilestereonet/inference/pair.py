@@ -80,9 +80,10 @@ def load_pair(
 
     Raises:
         FileNotFoundError: If a file does not exist.
-        InputError: If a view is no image, has another shape or type, is smaller than 2 x 2, has
-            values that are NaN or out of range, or if the sizes differ.
+        InputError: If there is no such layout, a view is no image, has another shape or type, is
+            smaller than 2 x 2, has values that are NaN or out of range, or if the sizes differ.
     """
+    _check_layout(layout)
     if right is None:
         return _load_joined(left, layout)
     names = [
@@ -119,6 +120,11 @@ def _load_joined(both: ImageLike, layout: str | None) -> StereoPair:
     return replace(pair, findings=findings, layout=found)
 
 
+def _check_layout(layout: str | None) -> None:
+    if layout is not None and layout not in LAYOUTS:
+        raise InputError(f"layout is one of {', '.join(LAYOUTS)}; got {layout!r}")
+
+
 def layout_of(size: tuple[int, int], layout: str | None, name: str) -> str:
     """How one picture of a width and height is split into both views, one of `LAYOUTS`.
 
@@ -128,8 +134,9 @@ def layout_of(size: tuple[int, int], layout: str | None, name: str) -> str:
         name: What messages call the picture.
 
     Raises:
-        InputError: If the side that is halved is odd.
+        InputError: If there is no such layout, or the side that is halved is odd.
     """
+    _check_layout(layout)
     layout = layout or "side-by-side"
     stacked = layout == "top-bottom"
     side, other = size[::-1] if stacked else size
