@@ -48,6 +48,12 @@ def test_a_loop_that_ends_early_closes_its_source(matcher, sequence):
     assert matcher.count <= 2
 
 
+def test_options_of_an_opened_source_are_refused(matcher, sequence):
+    stream = open_stream(str(sequence / "left"), str(sequence / "right"))
+    with pytest.raises(InputError, match="fps, layout: give them to open_stream"):
+        next(matcher.stream(stream, layout="top-bottom", fps=3))
+
+
 def test_real_time_drops_what_comes_while_matching(matcher, monkeypatch):
     pair = load_pair(*make_pair(9))
 

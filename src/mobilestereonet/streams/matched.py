@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier, StereoMatcher, StereoResult
 from mobilestereonet.inference.first_look import ViewOptions
 from mobilestereonet.streams.batch import match_frames
@@ -46,17 +47,24 @@ def match_stream(
         source: What `open_stream` takes first, or what it gave.
         rectifier: Rectifies the frames, or has their calibration.
         drop: Whether the newest frame wins, see `as_live`.
-        **options: Other arguments of `open_stream`.
+        **options: Other arguments of `open_stream`; none where the source is what it gave.
 
     Yields:
         The result of each frame that can be matched.
 
     Raises:
         FileNotFoundError: If a file or a folder does not exist.
-        InputError: If the source cannot be opened, does not show two views, or tells that its
-            pictures are rectified while the rectifier is of raw ones.
+        InputError: If the source cannot be opened, or is open and there are options, does not
+            show two views, or tells that its pictures are rectified while the rectifier is of raw
+            ones.
     """
-    if not isinstance(source, Stream):
+    if isinstance(source, Stream):
+        if options:
+            raise InputError(
+                f"the source is open already, too late for {', '.join(sorted(options))}: give "
+                "them to open_stream"
+            )
+    else:
         raw = rectifier is not None and rectifier.rectifies
         source = open_stream(str(source), rectify=not raw, **options)
     views = ViewOptions(layout=options.get("layout"))
