@@ -360,6 +360,31 @@ def test_images_without_a_partner_are_reported(rosbags, msnet, tmp_path):
     assert "no frame could be matched" in msnet("video", bag, *topics(*VIEWS), *tight, *SGBM)[2]
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "run.bag"])
+@pytest.mark.parametrize("frame", [0, 1])
+def test_a_damaged_message_is_told(rosbags, tmp_path, name, frame):
+    path = write_bag(tmp_path / name, frames=2)
+    data = bytearray(path.read_bytes())
+    marks = [found.start() for found in re.finditer(rb"\0\0\0rgb8", data)]
+    data[marks[2 * frame] - 1 : marks[2 * frame] + 3] = b"\xff\xff\xff\x7f"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=f"{name}: the bag is damaged: .*copy it again"):
+        list(stereo_bag.StereoBag.open(path, *VIEWS).pairs())
+
+
+def test_what_the_reader_says_of_damage_is_told(rosbags, tmp_path, monkeypatch):
+    from rosbags import highlevel, rosbag1
+
+    bag = stereo_bag.StereoBag.open(write_bag(tmp_path / "run.bag", frames=1), *VIEWS)
+
+    def fail(*_, **__):
+        raise rosbag1.ReaderError("a broken chunk")
+
+    monkeypatch.setattr(highlevel.AnyReader, "messages", fail)
+    with pytest.raises(InputError, match=r"run\.bag: the bag is damaged: a broken chunk"):
+        list(bag.pairs())
+
+
 def test_a_loop_over_a_bag(rosbags, matcher, tmp_path):
     rect = write_bag(tmp_path / "rect.bag", frames=2)
     raw = write_bag(tmp_path / "raw.mcap", RAW, frames=2, distortion=LENS, calibrated=False)

@@ -90,7 +90,7 @@ class StereoBag:
             views = _image_topics(path, topics, left, right)
             for view in views:
                 _check_images(path, reader, view)
-            infos = [_camera_info(reader, topics, view) for view in views]
+            infos = [_camera_info(path, reader, topics, view) for view in views]
         total = min(topics[view][1] for view in views)
         return cls(path, views, tolerance, total, _rig(path, views, infos))
 
@@ -108,9 +108,13 @@ class StereoBag:
         return None if self.rig is None else rectified_part(self.rig)
 
     def pairs(self) -> Generator[BagPair]:
-        """The pairs in the order of their stamps; images without a partner have a problem."""
+        """The pairs in the order of their stamps; images without a partner have a problem.
+
+        Raises:
+            InputError: If the bag is damaged.
+        """
         with _open_reader(self.path) as reader:
-            images = _images(reader, self.topics)
+            images = _images(self.path, reader, self.topics)
             pairs = pair_nearest(images, lambda image: image.stamp, round(self.tolerance * 1e9))
             start, seconds = None, 0.0
             for index, pair in enumerate(pairs):
@@ -199,7 +203,7 @@ def _image_topics(
 
 def _check_images(path: Path, reader: Any, topic: str) -> None:
     """Refuse a topic whose first image says that it is of a kind that cannot be read."""
-    message = _first_message(reader, topic)
+    message = _first_message(path, reader, topic)
     try:
         if message is not None:
             check_encoding(message)
@@ -207,14 +211,30 @@ def _check_images(path: Path, reader: Any, topic: str) -> None:
         raise InputError(f"{path}: {topic}: {error}") from None
 
 
-def _first_message(reader: Any, topic: str) -> Any:
-    connections = [each for each in reader.connections if each.topic == topic]
-    for connection, _, data in reader.messages(connections):
-        return reader.deserialize(data, connection.msgtype)
-    return None
+def _first_message(path: Path, reader: Any, topic: str) -> Any:
+    return next((message for _, _, message in _messages(path, reader, (topic,))), None)
 
 
-def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: str) -> Any:
+def _messages(path: Path, reader: Any, topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+    """Topics, times of recording and messages in the bag's order.
+
+    Raises:
+        InputError: If the bag is damaged.
+    """
+    connections = [each for each in reader.connections if each.topic in topics]
+    try:
+        for connection, recorded, data in reader.messages(connections):
+            yield connection.topic, recorded, reader.deserialize(data, connection.msgtype)
+    except Exception as error:  # whatever a parser makes of any bytes
+        raise InputError(
+            f"{path}: the bag is damaged: {error}: copy it again, or repair it (rosbag reindex, "
+            "mcap recover)"
+        ) from error
+
+
+def _camera_info(
+    path: Path, reader: Any, topics: dict[str, tuple[str | None, int]], image: str
+) -> Any:
     """The first calibration of a view's camera; None if the bag has none."""
     parts = image.split("/")
     if parts[-1] == _TRANSPORT:
@@ -222,7 +242,7 @@ def _camera_info(reader: Any, topics: dict[str, tuple[str | None, int]], image: 
     topic = "/".join([*parts[:-1], "camera_info"])
     if topics.get(topic, ("", 0))[0] != _CAMERA_INFO:
         return None
-    return _first_message(reader, topic)
+    return _first_message(path, reader, topic)
 
 
 def _rig(path: Path, views: tuple[str, str], infos: list[Any]) -> Rig | None:
@@ -248,12 +268,10 @@ class _Stamped:
     message: Any
 
 
-def _images(reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped]]:
+def _images(path: Path, reader: Any, views: tuple[str, str]) -> Iterator[tuple[int, _Stamped]]:
     """Images of both topics in the bag's order: 0 or 1 for left or right, and the message."""
-    connections = [connection for connection in reader.connections if connection.topic in views]
-    for connection, recorded, data in reader.messages(connections):
-        message = reader.deserialize(data, connection.msgtype)
+    for topic, recorded, message in _messages(path, reader, views):
         stamp = message.header.stamp
         nanoseconds = stamp.sec * 10**9 + stamp.nanosec
         # A driver that sets no stamp leaves the time at which it was recorded.
-        yield views.index(connection.topic), _Stamped(nanoseconds or recorded, message)
+        yield views.index(topic), _Stamped(nanoseconds or recorded, message)
