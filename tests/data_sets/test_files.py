@@ -352,6 +352,16 @@ def test_read_disparity_exr(tmp_path):
         read_disparity_exr(tmp_path / "absent.exr")
 
 
+def test_an_exr_image_of_equal_channels_with_unknown_pixels(tmp_path):
+    exr = need_extra("OpenEXR")
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    values = np.array([[3, np.nan], [5, 6]], np.float32)
+    exr.File(header, dict.fromkeys("RGB", values)).write(str(tmp_path / "a.exr"))
+    disparity, valid = read_disparity_exr(tmp_path / "a.exr")
+    np.testing.assert_array_equal(disparity, [[3, 0], [5, 6]])
+    np.testing.assert_array_equal(valid, [[True, False], [True, True]])
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("ending", ["npy", "pfm", "tiff"])
 def test_the_sign_of_most_disparities_is_the_files(tmp_path, sign, ending):

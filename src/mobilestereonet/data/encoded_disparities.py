@@ -165,7 +165,8 @@ def read_disparity_exr(path: str | Path) -> tuple[FloatMap, Mask]:
             channels = [channel.pixels for channel in file.channels().values()]
     except Exception as error:  # whatever a parser makes of any bytes
         raise InputError(f"{path}: not an OpenEXR image that is whole: {error}") from None
-    if not channels or any(not np.array_equal(channels[0], other) for other in channels[1:]):
+    alike = (np.array_equal(channels[0], other, equal_nan=True) for other in channels[1:])
+    if not channels or not all(alike):
         raise InputError(
             f"{path}: disparity must be one channel, or several alike; it has {len(channels)}"
         )
