@@ -12,6 +12,7 @@ from mobilestereonet.settings import (
     differences,
     override,
     parse_assignments,
+    parse_variations,
 )
 
 
@@ -153,3 +154,13 @@ def test_assignments():
     }  # fmt: skip
     with pytest.raises(InputError, match="'lr': write it as key=value"):
         parse_assignments(["lr"])
+
+
+def test_variations_are_cut_outside_brackets():
+    given = ["crop=[1,2],x", 'net={"a": [1, 2]},[3,[4,5]],y', "lr=1e-3,5e-4", "model=a,b"]
+    assert parse_variations(given) == {
+        "crop": [[1, 2], "x"],
+        "net": [{"a": [1, 2]}, [3, [4, 5]], "y"],
+        "lr": [1e-3, 5e-4],
+        "model": ["a", "b"],
+    }

@@ -75,7 +75,7 @@ def parse_variations(texts: Sequence[str]) -> dict[str, list[Any]]:
 
     Args:
         texts: Texts as given to ``--vary``. What stands after the name is a list of JSON without
-            its brackets, or texts between commas.
+            its brackets, or texts between commas; those within brackets do not count.
 
     Returns:
         The values by name.
@@ -93,9 +93,21 @@ def parse_variations(texts: Sequence[str]) -> dict[str, list[Any]]:
         if _is_json(f"[{values}]"):
             found[name] = parse_json(f"[{values}]", shorten(text))
         else:
-            parts = [f"{name}={value}" for value in values.split(",")]
+            parts = [f"{name}={value}" for value in _outer_parts(values)]
             found[name] = [parse_assignments([part])[name] for part in parts]
     return found
+
+
+def _outer_parts(text: str) -> list[str]:
+    """What stands between the commas outside brackets."""
+    parts, depth = [""], 0
+    for sign in text:
+        depth += (sign in "[{") - (sign in "]}")
+        if sign == "," and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    return parts
 
 
 def _is_json(text: str) -> bool:
