@@ -32,6 +32,15 @@ def test_the_workflow_has_the_pythons_and_the_oldest_pytorch_of_the_metadata():
     assert f"torch=={matrix['torch'][-1]}" in (ROOT / "README.md").read_text()
 
 
+def test_the_workflow_names_what_holds_tests():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
+    command = workflow["jobs"]["tests"]["steps"][-1]["run"]
+    named = re.findall(r"tests/\S+", command)
+    assert named
+    for path in map(ROOT.joinpath, named):
+        assert path.is_file() or any(path.rglob("test_*.py")), path
+
+
 def test_constraints_are_names_and_versions_of_what_ci_installs():
     lines = (ROOT / ".ci/constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
