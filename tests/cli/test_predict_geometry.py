@@ -230,6 +230,17 @@ def test_a_recording_with_depth_needs_views_that_can_give_it(msnet, folder):
     assert not (folder / "log.rrd").exists()
 
 
+def test_a_rig_alone_tells_no_depth_of_bad_views(msnet, folder):
+    path = folder / "right.png"
+    cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 6, axis=0))
+    rig = ("--rig", folder / "calib.txt")
+    code, out, err = predict(msnet, folder, *rig)
+    assert code == 0 and "msnet doctor" in err
+    assert "disparity" in out and "depth" not in out
+    assert "depth" not in json.loads(predict(msnet, folder, *rig, "--json")[1])
+    assert "depth" in json.loads(predict(msnet, folder, *rig, "--json", "--force")[1])
+
+
 def test_one_view_above_the_other_with_an_odd_width(msnet, folder):
     views = [cv2.imread(str(folder / f"{side}.png"))[:, :-1] for side in ("left", "right")]
     cv2.imwrite(str(folder / "both.png"), np.vstack(views))

@@ -79,7 +79,7 @@ def predict(
     pair = load_pair(left, right, layout=views.layout)
     pair = put_right(pair, views.views, rectifier, shift=options.shift)
     deep = cameras.given and bool(depth_files or point_files or rerun)
-    views.report(pair.findings, metric=deep)
+    sound = views.report(pair.findings, metric=deep)
     cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
@@ -90,7 +90,7 @@ def predict(
     calibration = calibration or cameras.scaled(result)
     files = {kind: str(path) for kind, path in result.save(output, left.stem).items()}
     spans = {"disparity": Span.of(result.disparity[result.valid])}
-    if calibration is not None:
+    if calibration is not None and sound:
         metres = result.depth(calibration)
         spans["depth"] = Span.of(metres[metres > 0])
         if not metres.any():

@@ -64,12 +64,15 @@ class ViewFlags(LayoutFlags):
         ),
     ] = False
 
-    def report(self, findings: Iterable[Finding], metric: bool) -> None:
+    def report(self, findings: Iterable[Finding], metric: bool) -> bool:
         """Say what the first look found.
 
         Args:
             findings: What it found.
             metric: Whether depth or points are asked for.
+
+        Returns:
+            Whether the views can give right ones, or ``--force`` is given.
 
         Raises:
             InputError: If they are, the views cannot give right ones, and ``--force`` is not given.
@@ -85,3 +88,4 @@ class ViewFlags(LayoutFlags):
                 f"no depth and no points of such views ({wrong[0].check}): put them right, or say "
                 "--force"
             )
+        return self.force or not wrong
