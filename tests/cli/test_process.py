@@ -33,6 +33,7 @@ def pair(tmp_path, monkeypatch):
         (MemoryError(), 2, "not enough memory"),
         (ModuleNotFoundError("No module named 'cv2'", name="cv2"), 2, "opencv-python-headless"),
         (ModuleNotFoundError("No module named 'h5py.x'", name="h5py.x"), 2, "--no-deps h5py"),
+        (ModuleNotFoundError("No module named 'odd'", name="odd"), 2, "put the package back that"),
         (
             ModuleNotFoundError("No module named 'mobilestereonet.x'", name="mobilestereonet.x"),
             70,
@@ -47,6 +48,8 @@ def test_what_nobody_foresaw_is_one_line(msnet, pair, monkeypatch, error, code, 
         raise error
 
     monkeypatch.setattr("mobilestereonet.inference.load_pair", fail)
+    needed = ["opencv-python-headless>=4.10", "h5py>=3; extra == 'data'"]
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: needed)
     ended, _, err = msnet("doctor", *PAIR, *["--debug"] * debug)
     assert ended == code
     assert words in err.splitlines()[-1] and err.splitlines()[-1].startswith("msnet: ")

@@ -80,10 +80,17 @@ def report(error: Exception, *, debug: bool = False) -> int:
     if isinstance(error, InputError | OSError):
         print(f"msnet: {text}", file=sys.stderr)
         return BAD_INPUT
-    if isinstance(error, ModuleNotFoundError) and (package := _package_of(error)):
+    module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if module and module != __name__.partition(".")[0]:
+        package = _package_of(module)
+        remedy = (
+            f"pip install --force-reinstall --no-deps {package}"
+            if package
+            else f"put the package back that brings {module}"
+        )
         print(
-            f"msnet: {text}: a package is missing, or was removed in part; pip install "
-            f"--force-reinstall --no-deps {package} (`msnet info` says what is installed)",
+            f"msnet: {text}: a package is missing, or was removed in part; {remedy} (`msnet info` "
+            "says what is installed)",
             file=sys.stderr,
         )
         return BAD_INPUT
@@ -102,14 +109,21 @@ def report(error: Exception, *, debug: bool = False) -> int:
     return UNFORESEEN
 
 
-def _package_of(error: ModuleNotFoundError) -> str | None:
-    """The package that brings a missing module, such as OpenCV's; None for a module of ours."""
-    from importlib.metadata import packages_distributions
+def _package_of(module: str) -> str | None:
+    """The package of our requirements that brings a module, such as OpenCV's; None if none does."""
+    from importlib import metadata
 
-    name = (error.name or "").partition(".")[0]
-    if name == __name__.partition(".")[0]:
+    try:
+        requirements = metadata.requires(__name__.partition(".")[0]) or []
+    except metadata.PackageNotFoundError:  # run from its sources
         return None
-    return packages_distributions().get(name, [name])[0]
+    needed = {_normalized(re.split(r"[^\w.-]", text, maxsplit=1)[0]) for text in requirements}
+    owners = metadata.packages_distributions().get(module, [module])
+    return next((name for name in owners if _normalized(name) in needed), None)
+
+
+def _normalized(package: str) -> str:
+    return re.sub(r"[-_.]+", "-", package).lower()
 
 
 def _one_line(error: Exception) -> str:
