@@ -216,10 +216,12 @@ def test_compare_refuses_what_is_no_run(tmp_path, pairs, msnet):
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     (tmp_path / "b/weights.safetensors").unlink()
     (tmp_path / "notes.txt").touch()
+    (tmp_path / "net.onnx").touch()
     for sources, words in (
         (("a", "a"), "given twice"),
         (("a", "b"), "the run has no weights.safetensors yet"),
         (("notes.txt",), "no run among them"),
+        (("a", "net.onnx"), f"onnx:{tmp_path / 'net.onnx'}"),
         (("a", "msnet4d"), "did you mean msnet"),
     ):
         known = [tmp_path / s if (tmp_path / s).exists() else s for s in sources]

@@ -103,6 +103,8 @@ def _sort(sources: list[str]) -> tuple[list[Path], list[str]]:
                     "`msnet train --resume`, or leave it out"
                 )
             runs.append(path)
+        elif path.is_file() and path.suffix == ".onnx" and not source.startswith("onnx:"):
+            raise InputError(f"{source}: a network in a file of ONNX is given as onnx:{source}")
         elif path.is_file() and path.suffix not in WEIGHTS_ENDINGS:
             warnings.warn(f"{source}: neither a run nor weights, left out", stacklevel=2)
         else:
