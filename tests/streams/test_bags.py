@@ -189,6 +189,13 @@ def test_sixteen_bits_stay_sixteen(rosbags, msnet, tmp_path):
     assert ("/cam/right_image/camera_info", "sensor_msgs/msg/CameraInfo") in messages
 
 
+@pytest.mark.parametrize("transport", ["", "/compressed"])
+def test_rectified_images_of_one_namespace(rosbags, tmp_path, transport):
+    views = [f"/cam/left_image{transport}", f"/cam/right_image{transport}"]
+    bag = bag_file.RectifiedBag(tmp_path / "a.mcap", views)
+    assert bag.namespaces == ["/cam/left_image", "/cam/right_image"]
+
+
 def test_what_cannot_be_rectified_is_told(rosbags, msnet, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_bag(tmp_path / "rect.mcap", frames=1)

@@ -88,9 +88,10 @@ class RectifiedBag(BagWriter):
 
     def __init__(self, path: str | Path, topics: Sequence[str]) -> None:
         super().__init__(path)
-        parents = [posixpath.dirname(topic.removesuffix("/compressed")) for topic in topics]
+        images = [topic.removesuffix("/compressed") for topic in topics]
+        parents = [posixpath.dirname(image) for image in images]
         #: Namespaces of the cameras; where the images share one, each topic is one.
-        self.namespaces = parents if parents[0] != parents[1] else list(topics)
+        self.namespaces = parents if parents[0] != parents[1] else images
 
     def write(self, pair: BagPair, views: Sequence[Array], calibration: Calibration) -> None:
         """Write a rectified pair.
