@@ -54,7 +54,7 @@ class Booster(PatternDataSet):
         │   └── disp_02.npy              the same of the right view (optional, for occlusion)
         └── test/balanced/...
 
-    Published by Zama Ramirez et al., CVPR 2022; the layout was not compared with the release. The
+    Source: Zama Ramirez et al., CVPR 2022; the layout was not compared with the release. The
     arguments and the errors are those of `StereoDataSet`.
 
     Args:

@@ -63,7 +63,7 @@ class FallingThings(PatternDataSet):
 
     The cameras are 6 cm apart. Depth ends at 6.5534 m: what is farther counts as unknown.
 
-    Published by Tremblay et al., CVPR Workshops 2018; the layout is that of torchvision's
+    Source: Tremblay et al., CVPR Workshops 2018; the layout is that of torchvision's
     documentation of ``FallingThingsStereo``, and was not compared with the release. The arguments
     and the errors are those of `StereoDataSet`.
 
@@ -181,7 +181,7 @@ class Spring(PatternDataSet):
     views: every second row and column is read. It needs h5py (the extra ``data``). The cameras are
     6.5 cm apart.
 
-    Published by Mehl et al., CVPR 2023; the layout was not compared with the release. The
+    Source: Mehl et al., CVPR 2023; the layout was not compared with the release. The
     arguments and the errors are those of `StereoDataSet`.
 
     Args:
