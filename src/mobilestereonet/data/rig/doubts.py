@@ -13,7 +13,7 @@ from mobilestereonet.data.rig.description import Geometry
 from mobilestereonet.data.sizes import check_untold_size
 
 MIN_USUAL_VIEW_DEG = 4.0
-"""Narrowest horizontal view that nothing is said about."""
+"""Smallest horizontal field of view that is usual."""
 
 MAX_USUAL_VIEW_DEG = 125.0
 """Widest one of a picture with straight lines."""

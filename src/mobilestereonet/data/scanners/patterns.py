@@ -1,4 +1,4 @@
-"""Base of the data sets whose layout is told by patterns: both views and the ground truth."""
+"""Base of the data sets whose layout is given as file patterns: both views and the ground truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WILDCARD = re.compile(r"\*\*/|\*|\?|\[[^]]*\]")
 
 
 class PatternDataSet(StereoDataSet):
-    """Data set whose layout is told by patterns.
+    """Data set whose layout is given as file patterns.
 
     What the wildcards of ``left`` match in a file's path is filled in for those of ``right`` and
     ``disparity``, in the same order; these may have fewer. ``{split}`` is the split's name.
