@@ -73,7 +73,6 @@ def ablate(
         given = [name[4:] for name in (*values, *variations) if name.startswith("net.")]
         check_network_values(models, given)
 
-    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models, variants
     from mobilestereonet.training.named_recipes import get_recipe
@@ -84,9 +83,7 @@ def ablate(
     chosen = override(get_recipe(recipe), values)
     of_table = table_models(table or "2") if table or not vary else [chosen.model]
     runs = variants(chosen, chosen_names or of_table, variations, seeds)
-    if tables.output is not None:
-        make_folder(tables.output.parent)
-        check_outputs(tables.output)
+    tables.prepare()
     rows = []
     for row in run(runs, folder, **vars(trainer)):
         rows.append(row)

@@ -60,16 +60,13 @@ def compare(
     )
     runs, others = _sort(sources)
 
-    from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.training.named_recipes import read_recipe
     from mobilestereonet.training.seeds import group_by_seed
 
     recipes = {str(run): read_recipe(run / "recipe.json") for run in runs}
     grouped = group_by_seed(recipes)
     pairs, printed = scoring.open(), scoring.printed()
-    if tables.output is not None:
-        make_folder(tables.output.parent)
-        check_outputs(tables.output)
+    tables.prepare()
     rows = distinct([*grouped, *others])
     members = [*grouped.values(), *([source] for source in others)]
     matchers = {

@@ -75,16 +75,14 @@ def evaluate(
 
     from rich.console import Console
 
-    from mobilestereonet.atomic import check_outputs, make_folder
+    from mobilestereonet.atomic import make_folder
     from mobilestereonet.evaluation import legend, save_evaluations
 
     pairs, printed, rectifier = scoring.open(), scoring.printed(), cameras.read()
     matchers = [scoring.open_matcher(chosen) for chosen in choices]
-    files = [file for file in (json, csv, per_pair, tables.output) if file is not None]
-    for folder in (pictures, *(file.parent for file in files)):
-        if folder is not None:
-            make_folder(folder)
-    check_outputs(*files)
+    if pictures is not None:
+        make_folder(pictures)
+    tables.prepare(json, csv, per_pair)
     evaluations = []
     for matcher in matchers:
         name = matcher.model + (f" ({options.weights.name})" if options.weights else "")

@@ -40,6 +40,15 @@ class TableOptions:
         """Whether the table is asked for, however many models there are."""
         return self.output is not None or self.format is not None
 
+    def prepare(self, *others: Path | None) -> None:
+        """Make the folders of the table's file and of others, and check them: before the work."""
+        from mobilestereonet.atomic import check_outputs, make_folder
+
+        files = [file for file in (*others, self.output) if file is not None]
+        for file in files:
+            make_folder(file.parent)
+        check_outputs(*files)
+
     def show(self, table: ResultTable) -> None:
         """Print the table, and write the file if there is to be one."""
         from rich.console import Console
