@@ -15,6 +15,7 @@ worked example: ``docs/how-it-works.md``, "The head".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -35,8 +36,8 @@ from mobilestereonet.nets.soft_argmax import (
 SCALE = 4
 """The upsampling for which the closed form is written."""
 
-MIN_EIGHTH = -80.0
-"""Least eighth of a score below the peak: the fine terms beside a lone peak stay above zero."""
+_MARGIN = 7.0
+"""Logarithm of how far the smallest exponential stays above what a type underflows at."""
 
 _CACHED_ELEMENTS = 1 << 17
 """Elements of a temporary that stays in the processor's cache."""
@@ -160,10 +161,12 @@ def intervals(scores: Tensor) -> Intervals:
 
     Between planes whose scores have the exponentials p^8 and q^8 the fine terms are p^7 q, p^5 q^3,
     p^3 q^5 and p q^7: with a = p^2 and b = q^2 their sum is p q (a + b) (a^2 + b^2). Exact unless
-    a lone plane's score is more than 640 above all others': its disparity is then its own.
+    a lone plane's score is more than 640 (float64: 5600) above all others'.
     """
     peak = scores.amax(dim=1, keepdim=True)
-    eighth = (scores - peak).div_(8).clamp_min_(MIN_EIGHTH).exp_()
+    # Limited, so that the fine terms beside a lone peak stay above zero.
+    least = math.log(torch.finfo(scores.dtype).tiny) + _MARGIN
+    eighth = (scores - peak).div_(8).clamp_min_(least).exp_()
     quarter = eighth * eighth
     half = quarter * quarter
     low, high = quarter[:, :-1], quarter[:, 1:]
