@@ -113,11 +113,11 @@ def test_public_data_sets_are_usual(folder, name):
     data = open_data_set(name, SHARED / "data" / folder)
     for index in range(min(len(data), 3)):
         sample = data[index]
+        assert sample.calibration is not None
         height, width = sample.left.shape[-2:]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            if sample.calibration is not None:
-                Rig((sample.calibration,), name).geometry((width, height))
+            Rig((sample.calibration,), name).geometry((width, height))
 
 
 def test_rectified_cameras_are_usual():

@@ -122,6 +122,11 @@ def cut_band(volume: Tensor, start: Tensor, planes: int) -> Tensor:
     return volume.gather(1, start.unsqueeze(1) + offsets)
 
 
+def places_in_band(start: Tensor, planes: int) -> Tensor:
+    """Place of each plane in each pixel's band: starts (B, H, W) -> (B, D, H, W), < 0 before it."""
+    return torch.arange(planes, device=start.device)[:, None, None] - start.unsqueeze(1)
+
+
 def spread_band(scores: Tensor, start: Tensor, planes: int) -> Tensor:
     """Scores of all planes from those of each pixel's band.
 
@@ -134,7 +139,7 @@ def spread_band(scores: Tensor, start: Tensor, planes: int) -> Tensor:
         (B, D, H, W), 2 below the pixel's lowest score outside of its band, without a gradient
         there: that of all planes outside would go to the lowest one alone.
     """
-    place = torch.arange(planes, device=start.device)[:, None, None] - start.unsqueeze(1)
+    place = places_in_band(start, planes)
     spread = scores.gather(1, place.clamp(0, scores.shape[1] - 1))
     outside = scores.detach().amin(dim=1, keepdim=True) + OUTSIDE_BAND
     return torch.where((place >= 0) & (place < scores.shape[1]), spread, outside)

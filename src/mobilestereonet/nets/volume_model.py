@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from mobilestereonet.nets.coarse_pass import places_in_band
 from mobilestereonet.nets.model import Prediction, StereoModel, smooth_l1_of_heads
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 
@@ -85,8 +86,7 @@ class VolumeOutputs:
         """Planes that were searched, (B, D, H / s, W / s) bool; None: all."""
         if self.band is None:
             return None
-        planes = torch.arange(self.scores[-1].shape[1], device=self.band.start.device)
-        place = planes[:, None, None] - self.band.start.unsqueeze(1)
+        place = places_in_band(self.band.start, self.scores[-1].shape[1])
         return (place >= 0) & (place < self.band.planes)
 
     @property
