@@ -8,12 +8,14 @@ import pytest
 from mobilestereonet.cli.main import main
 
 
-def pytest_configure():
-    """Share the cores out among the workers, so that they do not wait for each other.
+def pytest_configure(config):
+    """Share the cores out among the workers: threads that wait for each other take far longer.
 
     What the environment says holds: no test depends on how busy the machine is.
     """
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
+    # The workers inherit what the process that starts them sets: their share, not all cores.
+    started = os.environ.get("PYTEST_XDIST_WORKER_COUNT")
+    workers = int(started or config.getoption("numprocesses", None) or 1)
     # Read when torch is imported, which is later.
     os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
 
