@@ -4,7 +4,7 @@
     ROS_NAMESPACE=stereo python examples/ros1_node.py _quality:=fast
 
 It subscribes to left/image_rect, right/image_rect, left/camera_info and right/camera_info, and
-publishes disparity, depth, points2 and confidence, all in its namespace; remap them as usual
+publishes disparity, depth, points2, confidence and camera_info, all in its namespace; remap them
 (left/image_rect:=/cam0/image_rect). Pairs that come while another one is matched are dropped.
 
 Parameters: ~quality (fast, balanced or best) or ~model (what StereoMatcher.from_pretrained takes),

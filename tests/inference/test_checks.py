@@ -75,6 +75,12 @@ def test_converging_cameras():
     assert "swapped" not in str(findings["order"])
 
 
+def test_no_disparity_is_minus_nothing():
+    far = cv2.warpAffine(scene(), np.float32([[1, 0, 0.3], [0, 1, 0]]), (400, 240))
+    findings = check_pair(scene(), in_thirds(far, scene(40)))
+    assert "disparities go from 0 to" in str(findings[-1])
+
+
 def test_range():
     (finding,) = [f for f in check_pair(scene(), scene(40), 32) if f.check == "range"]
     assert finding.level == "problem"

@@ -30,6 +30,8 @@ def to_rosbags(types, message):
         values = {name: to_rosbags(types, getattr(message, name)) for name in message.names}
         return types.types[message.kind](**values)
     if isinstance(message, list):
+        if all(isinstance(entry, float) for entry in message):  # float64[], float64[9]
+            return np.array(message)
         return [to_rosbags(types, entry) for entry in message]
     return np.frombuffer(message, np.uint8) if hasattr(message, "typecode") else message
 
@@ -52,7 +54,7 @@ def install(monkeypatch, pair, parameters):
         get_logger=lambda: SimpleNamespace(info=print, warning=print),
     )
     modules = {
-        "rclpy": {"init": lambda: None, "ok": lambda: len(published) < 3, "spin": spin},
+        "rclpy": {"init": lambda: None, "ok": lambda: len(published) < 4, "spin": spin},
         "rclpy.node": {"Node": lambda name: node},
         "rclpy.qos": {"qos_profile_sensor_data": None},
         "message_filters": {

@@ -268,6 +268,7 @@ def test_results_go_to_a_bag(rosbags, msnet, tmp_path, ending):
         ("/stereo/disparity", "stereo_msgs/msg/DisparityImage"),
         ("/stereo/depth", "sensor_msgs/msg/Image"),
         ("/stereo/points2", "sensor_msgs/msg/PointCloud2"),
+        ("/stereo/camera_info", "sensor_msgs/msg/CameraInfo"),  # those of both cameras are there
     }
     assert set(messages) == kinds
     for (_, kind), sent in messages.items():
@@ -365,6 +366,25 @@ def test_images_without_a_partner_are_reported(rosbags, msnet, tmp_path):
     assert re.search(rf"frame 000003 skipped: {VIEWS[1]} at .* {VIEWS[0]} has no image within", err)
     tight = "--tolerance", 0.001, "--frames", tmp_path / "maps"
     assert "no frame could be matched" in msnet("video", bag, *topics(*VIEWS), *tight, *SGBM)[2]
+
+
+def test_results_bring_the_camera_info_that_their_source_lacks(rosbags, msnet, tmp_path):
+    source = write_bag(tmp_path / "raw.mcap", RAW, frames=2, calibrated=False)
+    out, rig = tmp_path / "out.mcap", write_rig(tmp_path / "rig.yml")
+    code, _, err = msnet("video", source, *topics(*RAW), "--rig", rig, "--bag", out, *SGBM)
+    assert (code, err) == (0, "")
+    sent = {topic: [message for _, message in told] for (topic, _), told in read_mcap(out).items()}
+    for side, late in (("", 0), ("left/", 0), ("right/", 2 * 10**6)):
+        infos = sent[f"/stereo/{side}camera_info"]
+        assert len(infos) == 2
+        info, disparity = infos[1], sent["/stereo/disparity"][1]
+        stamp = info.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == START_NS + 10**8 + late
+        assert info.header.frame_id == f"{side.rstrip('/') or 'left'}_camera"
+        assert (info.width, info.height) == (160, 48)
+        focal, offset = info.p[0], info.p[3]
+        assert focal == pytest.approx(disparity.f)
+        assert -offset / focal == pytest.approx(disparity.t if side == "right/" else 0)
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.bag"])

@@ -96,7 +96,7 @@ def live(
         if filters.max_depth < float("inf") and not opened.deep:
             raise InputError("--max-depth needs --rig FILE, or --focal and --baseline")
         opened = replace(opened, stream=as_live(opened.stream))
-        files = sinks.open(stack, opened.matcher, opened.stream.topics)
+        files = opened.open_sinks(sinks, stack)
         told = opened.run(stop, [*screens, *files])
     print(told)
 

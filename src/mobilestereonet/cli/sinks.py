@@ -71,14 +71,19 @@ class SinkOptions:
         return [Path(sink) for sink in self.given if sink.endswith((*BAG_ENDINGS, ".rrd"))]
 
     def open(
-        self, stack: ExitStack, matcher: StereoMatcher, topics: tuple[str, ...] = ()
+        self,
+        stack: ExitStack,
+        matcher: StereoMatcher,
+        topics: tuple[str, ...] = (),
+        taken: tuple[str, ...] = (),
     ) -> list[Sink]:
         """Open what the results go to.
 
         Args:
             stack: Closes it; files appear once it ends without an error.
             matcher: The matcher of the results; they get a confidence where it has one.
-            topics: The source's topics, if it is a bag.
+            topics: The source's topics of both views, if it is a bag.
+            taken: Its topics of camera_info.
 
         Raises:
             InputError: If a file cannot be written, or an extra is not installed.
@@ -87,7 +92,7 @@ class SinkOptions:
 
         sinks: list[Sink] = []
         if self.bag is not None:
-            bag = BagFile(self.bag, matcher.max_disparity, topics=topics)
+            bag = BagFile(self.bag, matcher.max_disparity, topics=topics, taken=taken)
             sinks.append(stack.enter_context(bag).write)
         if self.rerun is not None:
             log = RerunLog(self.rerun)

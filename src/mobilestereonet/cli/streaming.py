@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -14,7 +15,7 @@ from mobilestereonet.cli.calibration import CalibrationOptions
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import PairBy
-from mobilestereonet.cli.sinks import TopicOptions
+from mobilestereonet.cli.sinks import SinkOptions, TopicOptions
 from mobilestereonet.cli.views import ViewFlags
 from mobilestereonet.errors import InputError
 
@@ -138,6 +139,10 @@ class MatchedStream:
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)
         matcher.confidence |= confidence
         return cls(stream, matcher, deep)
+
+    def open_sinks(self, sinks: SinkOptions, stack: ExitStack) -> list[Sink]:
+        """Open what the results go to; see `SinkOptions.open`."""
+        return sinks.open(stack, self.matcher, self.stream.topics, self.stream.camera_infos)
 
     def run(
         self,

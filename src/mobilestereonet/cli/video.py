@@ -105,7 +105,7 @@ def video(
     with ExitStack() as stack:
         told = opened.run(
             stop,
-            sinks.open(stack, opened.matcher, opened.stream.topics),
+            opened.open_sinks(sinks, stack),
             video=output,
             frames=None if frames is None else MapFiles(frames, kinds),
             resume=resume,

@@ -239,20 +239,18 @@ def _order(disparity: Points, lowest: float) -> Finding:
     """Whether disparities lie above the lowest one that there is."""
     negative = float(np.mean(disparity < lowest - 1))
     shift = -float(np.percentile(disparity, 1))
-    converge = (
-        "the cameras converge, or the views are cropped differently: rectify them, or let the "
-        f"search begin there (--shift {-math.ceil(shift) - _SPARE_PX}); doffs is the calibration's"
-    )
+    remedy = f"rectify, or let the search begin there (--shift {-math.ceil(shift) - _SPARE_PX})"
+    converge = f"the cameras converge, or the views are cropped differently: {remedy}"
     if is_swapped(disparity - lowest):
         text = f"{negative:.0%} of the features move to the right, seen from the left view"
         advice = (
-            "the views are swapped: exchange them; but if near things are then blue in the picture "
-            f"of `msnet predict`, they were in order, and {converge}"
+            "the views are swapped: exchange them. If near things come out blue then, they were "
+            f"in order, and the cameras converge: {remedy}"
         )
         return Finding("order", "problem", text, advice)
     if negative > 0.02:
-        kind = f"disparity below {lowest:.0f} px" if lowest else "negative disparity"
-        text = f"{negative:.0%} of the features have a {kind}, down to {-shift:.0f} px"
+        kind = f"disparity below {round(lowest)} px" if lowest else "negative disparity"
+        text = f"{negative:.0%} of the features have a {kind}, down to {round(-shift)} px"
         if negative > _OUTSIDE:
             return Finding("order", "problem", text, converge)
         return Finding("order", "unknown", text, f"a few wrong matches, or {converge}")
@@ -261,7 +259,7 @@ def _order(disparity: Points, lowest: float) -> Finding:
 
 def _range(disparity: Points, search: Search) -> Finding:
     low, high = (float(value) for value in np.percentile(disparity, (1, 99)))
-    text = f"the features' disparities go from {low:.0f} to {high:.0f} px"
+    text = f"the features' disparities go from {round(low)} to {round(high)} px"
     if high > search.end - 1:
         text += f", beyond the network's {search.end - 1}"
         return Finding("range", "problem", text, _beyond(low, high, search))
@@ -284,5 +282,5 @@ def _beyond(low: float, high: float, search: Search) -> str:
         advice = f"match them smaller (--scale {factor:.2f}): disparities shrink, too"
     start = math.floor(low) - _SPARE_PX
     if start > 0 and high < start + search.end - search.start - 1:
-        advice += f"; or let the search begin near {low:.0f} px (--shift {start})"
+        advice += f"; or let the search begin near {round(low)} px (--shift {start})"
     return advice

@@ -22,20 +22,25 @@ from mobilestereonet.streams.stream import StereoFrame
 FRAME_ID = "left_camera_optical_frame"
 """Coordinate frame of results whose source has none: x to the right, y down, z forward."""
 
+RIGHT_FRAME_ID = "right_camera_optical_frame"
+
 
 class BagFile(BagWriter):
     """Writer of a ROS bag of stereo results, a context manager; the file appears when complete.
 
     Each result gives ``disparity`` (stereo_msgs/DisparityImage) and, with a calibration, ``depth``
-    (sensor_msgs/Image, 32FC1 in metres) and ``points2`` (sensor_msgs/PointCloud2), and with a
-    confidence ``confidence`` (sensor_msgs/Image, mono8), see `ResultMessages`. Stamps and frames
-    are those of the left images.
+    (sensor_msgs/Image, 32FC1 in metres), ``points2`` (sensor_msgs/PointCloud2) and
+    ``camera_info``, and with a confidence ``confidence`` (sensor_msgs/Image, mono8), see
+    `ResultMessages`. Stamps and frames are those of the left images. ``left/camera_info`` and
+    ``right/camera_info`` have the rectified views' geometry, with the stamps and frames of each.
 
     Args:
         path: The file to write, ``.mcap`` (ROS 2) or ``.bag`` (ROS 1).
         max_disparity: Disparities below it were searched, in px.
         topics: The source's topics of the left and the right view: the results' begin with what
             these have in common, or with ``/stereo``.
+        taken: The source's topics of camera_info, which are not written again: both bags can then
+            be played together.
         max_depth: Farther points are left out, in metres.
 
     Raises:
@@ -49,9 +54,11 @@ class BagFile(BagWriter):
         max_disparity: int,
         *,
         topics: Sequence[str] = (),
+        taken: Sequence[str] = (),
         max_depth: float = float("inf"),
     ) -> None:
         super().__init__(path)
+        self._taken = frozenset(taken)
         self._messages = ResultMessages(self.make, max_disparity, max_depth)
         common = posixpath.commonpath(topics) if topics else ""
         self.namespace = common if common.strip("/") else "/stereo"
@@ -67,9 +74,19 @@ class BagFile(BagWriter):
         """
         stamp = round(frame.seconds * 1e9) if frame.stamp is None else frame.stamp
         header = self.header(stamp, frame.frame_id or FRAME_ID, frame.index)
-        for name, message in self._messages.all(header, result, calibration).items():
+        messages = self._messages.all(header, result, calibration)
+        if calibration is not None:
+            right_stamp = stamp if frame.right_stamp is None else frame.right_stamp
+            right_frame = frame.right_frame_id or RIGHT_FRAME_ID
+            headers = header, self.header(right_stamp, right_frame, frame.index)
+            for side, each in zip(("left", "right"), headers, strict=True):
+                messages[f"{side}/camera_info"] = self._messages.camera_info(
+                    each, result, calibration, right=side == "right"
+                )
+        for name, message in messages.items():
             topic = posixpath.join(self.namespace, name)
-            self.send(topic, RESULT_TOPICS[name], stamp, message)
+            if topic not in self._taken:
+                self.send(topic, RESULT_TOPICS[posixpath.basename(name)], stamp, message)
 
 
 class RectifiedBag(BagWriter):

@@ -58,6 +58,7 @@ def open_bag(
         total=bag.total,
         calibration=bag.calibration if known else None,
         topics=bag.topics,
+        camera_infos=bag.camera_infos,
     )
 
 

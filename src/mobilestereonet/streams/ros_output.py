@@ -28,7 +28,7 @@ class MessageMaker(Protocol):
     """Makes a message of a type such as "sensor_msgs/msg/Image" from its fields, in lower case."""
 
     def __call__(self, kind: str, /, **fields: Any) -> Any:
-        """Make a message. Arrays of bytes are (N,) uint8."""
+        """Make a message. Arrays of bytes are (N,) uint8, those of numbers float64."""
         ...
 
 
@@ -37,6 +37,7 @@ RESULT_TOPICS = {
     "depth": "sensor_msgs/msg/Image",
     "points2": "sensor_msgs/msg/PointCloud2",
     "confidence": "sensor_msgs/msg/Image",
+    "camera_info": "sensor_msgs/msg/CameraInfo",
 }
 """Topics of results, in the namespace of the camera, and the types of their messages."""
 
@@ -59,9 +60,9 @@ def message_maker(pack: Callable[[bytes], Any] = bytes) -> MessageMaker:
         message = message_class(kind)()
         for field, value in fields.items():
             name = field if hasattr(message, field) else field.upper()  # t in ROS 2, T in ROS 1
-            setattr(
-                message, name, pack(value.tobytes()) if isinstance(value, np.ndarray) else value
-            )
+            if isinstance(value, np.ndarray):
+                value = pack(value.tobytes()) if value.dtype == np.uint8 else value.tolist()
+            setattr(message, name, value)
         return message
 
     return make
@@ -180,6 +181,7 @@ class ResultMessages:
         if calibration is not None:
             messages["depth"] = self.depth(header, result, calibration)
             messages["points2"] = self.points(header, result, calibration)
+            messages["camera_info"] = self.camera_info(header, result, calibration)
         if result.confidence is not None:
             grey = np.rint(255 * result.confidence).astype(np.uint8)
             messages["confidence"] = image_message(self.make, header, grey)
@@ -212,6 +214,13 @@ class ResultMessages:
             max_disparity=self.max_disparity - 1 + doffs,
             delta_d=DISPARITY_STEP_PX,
         )
+
+    def camera_info(
+        self, header: Any, result: StereoResult, calibration: Calibration, *, right: bool = False
+    ) -> Any:
+        """The left view's `camera_info`, which is that of the disparity and the depth, too."""
+        height, width = result.disparity.shape
+        return camera_info(self.make, header, calibration, (width, height), right=right)
 
     def depth(self, header: Any, result: StereoResult, calibration: Calibration) -> Any:
         """Depth as REP 118 has it: 32FC1 in metres, NaN where it is not known."""

@@ -65,6 +65,7 @@ class StereoBag:
         tolerance: Largest difference between the stamps of a pair, in s.
         total: Number of pairs, if no image is without a partner.
         rig: What the topics ``camera_info`` beside the images tell; None if there are none.
+        camera_infos: All topics of camera_info in it.
     """
 
     path: Path
@@ -72,6 +73,7 @@ class StereoBag:
     tolerance: float
     total: int
     rig: Rig | None
+    camera_infos: tuple[str, ...] = ()
 
     @classmethod
     def open(
@@ -92,7 +94,8 @@ class StereoBag:
                 _check_images(path, reader, view)
             infos = [_camera_info(path, reader, topics, view) for view in views]
         total = min(topics[view][1] for view in views)
-        return cls(path, views, tolerance, total, _rig(path, views, infos))
+        known = tuple(name for name, (kind, _) in topics.items() if kind == _CAMERA_INFO)
+        return cls(path, views, tolerance, total, _rig(path, views, infos), known)
 
     @property
     def raw_rig(self) -> Rig | None:

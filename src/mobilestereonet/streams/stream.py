@@ -60,6 +60,7 @@ class Stream:
         live: Whether they do not wait, as those of a camera: they are other ones the next time.
         calibration: Geometry of all of them, if the source knows it.
         topics: Topics of the left and the right view in ROS; empty for other sources.
+        camera_infos: Topics of all camera_info in the source; likewise.
     """
 
     frames: Generator[StereoFrame]
@@ -67,6 +68,7 @@ class Stream:
     live: bool = False
     calibration: Calibration | None = None
     topics: tuple[str, ...] = ()
+    camera_infos: tuple[str, ...] = ()
 
 
 def as_live(stream: Stream) -> Stream:
