@@ -4,6 +4,7 @@ Skipped where gradio, playwright or Chromium is missing; MSNET_REQUIRE_EXTRAS=1 
 step waits for what it needs: on a busy machine the software WebGL takes seconds for one frame.
 """
 
+import base64
 import os
 import re
 import shutil
@@ -11,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
@@ -19,7 +21,6 @@ from skimage.data import stereo_motorcycle
 
 from extras import REQUIRED, need_extra
 from mobilestereonet import Calibration, StereoMatcher
-from mobilestereonet.data.disparity_files import read_disparity_png
 from mobilestereonet.plots import colour_disparity
 
 need_extra("gradio")
@@ -44,7 +45,7 @@ def folder(tmp_path_factory):
     for name, view in zip(("left", "right"), stereo_motorcycle()[:2], strict=True):
         small = cv2.resize(view[..., ::-1], (296, 200), interpolation=cv2.INTER_AREA)
         assert cv2.imwrite(str(folder / f"{name}.png"), small)
-    (folder / "broken.png").write_bytes((folder / "left.png").read_bytes()[:5000])
+    (folder / "right_broken.png").write_bytes((folder / "left.png").read_bytes()[:5000])
     (folder / "text.png").write_text("no picture")
     (folder / "server").mkdir()
     return folder
@@ -52,14 +53,14 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(folder):
-    matcher = StereoMatcher.from_pretrained(threads=1, confidence=True)
+    matcher = StereoMatcher.from_pretrained(quality="fast", threads=1, confidence=True)
     return matcher(folder / "left.png", folder / "right.png")
 
 
 @pytest.fixture(scope="module")
 def address(folder):
     command = [sys.executable, "-m", "mobilestereonet", "web"]
-    options = ["--precision", "fp32", "--threads", "1"]
+    options = ["--quality", "fast", "--precision", "fp32", "--threads", "1"]
     server = subprocess.Popen(
         [*command, *options],
         stdout=subprocess.PIPE,
@@ -127,15 +128,17 @@ def until(condition, what):
     return found
 
 
-def choose(page, side, path):
-    page.locator(f"#{side} input[type=file]").set_input_files(path)
-    # The upload is shown at once; what can be matched is the session's copy.
-    page.locator(f"#{side} img[src*='/sessions/']").wait_for()
+def choose(page, *paths):
+    page.locator("#drop input[type=file]").set_input_files(paths)
 
 
 def choose_pair(page, folder):
-    for side in ("left", "right"):
-        choose(page, side, folder / f"{side}.png")
+    choose(page, folder / "left.png", folder / "right.png")
+    matched(page, 296)
+
+
+def matched(page, width):
+    page.locator("#facts", has_text=re.compile(rf"{width}x\d+: matched in")).wait_for()
 
 
 def fill_in(page, calibration):
@@ -145,15 +148,8 @@ def fill_in(page, calibration):
 
 def match(page):
     page.locator("#match").click()
-    page.locator("#facts", has_text="matched in").wait_for()
-
-
-def fetch(page, locator, attribute):
-    """The file that an element shows or links to, as the browser gets it."""
-    url = locator.evaluate(f"element => element.{attribute}")
-    answer = page.request.get(url, timeout=PATIENCE)
-    assert answer.ok
-    return answer.body()
+    page.locator("#cancel").wait_for()
+    matched(page, 296)
 
 
 def picture(content):
@@ -174,64 +170,90 @@ def sessions(folder):
     return list((folder / "server").glob("msnet-web-*/sessions/*"))
 
 
+def pixels(page, name):
+    """RGBA of a canvas."""
+    url = page.locator(name).evaluate("canvas => canvas.toDataURL()")
+    image = picture(base64.b64decode(url.partition(",")[2]))
+    return cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA).astype(float)
+
+
 def test_from_the_upload_to_the_download(visit, folder, expected, tmp_path):
     page = visit(1280, 900)
+    # It opens with a result.
+    assert "741x500: matched in" in page.locator("#facts").inner_text()
+    page.locator("#ticks", has_text=" m").wait_for()
     choose_pair(page, folder)
     fill_in(page, CALIBRATION)
     match(page)
-    assert "balanced (msnet3d) on torch fp32, 296x200" in page.locator("#facts").inner_text()
+    assert "fast (" in page.locator("#facts").inner_text()
 
-    # The pictures under the slider: the left view, and the disparity that `predict` gives.
-    shown = page.locator("#disparity img")
-    views = [picture(fetch(page, shown.nth(i), "src"))[..., ::-1] for i in range(2)]
+    # What lies under the slider: the left view, and the disparity that `predict` gives.
+    shown = pixels(page, "#disparity")
+    assert (shown[..., 3] == 255).mean() > 0.99
     colours = colour_disparity(expected.disparity)
-    by_match = sorted(views, key=lambda view: np.abs(view - colours.astype(float)).mean())
-    np.testing.assert_allclose(by_match[0].astype(float), colours, atol=2)
-    np.testing.assert_array_equal(by_match[1], expected.left)
+    assert np.quantile(np.abs(shown[..., :3] - colours).max(axis=2), 0.95) <= 12
+    left = pixels(page, "#picture")[..., :3]
+    assert np.abs(left - expected.left).mean() < 6  # a JPEG
 
-    # Downloads, as a click on the link saves them.
+    # Downloads, as a click saves them.
     saved = {}
-    for kind in ("disparity.png", "disparity.pfm", "disparity.npy", "depth.npy", "points.ply"):
+    for kind in ("picture", "depth", "blender", "everything"):
         with page.expect_download() as waiting:
-            page.locator(f"#downloads a[download='stereo_{kind}']").click()
-        saved[kind] = tmp_path / kind
+            page.locator(f"#download-{kind}").click()
+        saved[kind] = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(saved[kind])
-    np.testing.assert_allclose(np.load(saved["disparity.npy"]), expected.disparity, atol=1e-3)
-    levels, _ = read_disparity_png(saved["disparity.png"])
-    np.testing.assert_allclose(levels, expected.disparity, atol=1 / 512 + 1e-3)
     depth = expected.depth(CALIBRATION)
-    np.testing.assert_allclose(np.load(saved["depth.npy"]), depth, rtol=1e-4)
-    assert saved["points.ply"].read_bytes().startswith(b"ply")
+    metres = cv2.imread(str(saved["depth"]), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(metres, depth, rtol=1e-4)
+    assert saved["blender"].read_bytes().startswith(b"glTF")
+    with ZipFile(saved["everything"]) as archive, archive.open("stereo_disparity.npy") as file:
+        np.testing.assert_allclose(np.load(file), expected.disparity, atol=1e-3)
 
-    # The depth under the mouse.
-    for column, row in ((40, 150), (250, 60)):
+    # The depth under the mouse, and the distance between two places.
+    box = page.locator("#picture").bounding_box()
 
-        def point(x=(column + 0.5) / 296, y=(row + 0.5) / 200):
-            box = shown.first.bounding_box()
-            page.mouse.move(box["x"], box["y"])  # to where it is already would be no movement
-            page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    def move(column, row):
+        page.mouse.move(box["x"], box["y"])  # to where it is already would be no movement
+        x, y = (column + 0.5) / 296, (row + 0.5) / 200
+        page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
-        shown.first.scroll_into_view_if_needed()
-        text = read(page, point, f"column {column}, row {row} ")
+    places = (40, 150), (250, 60)
+    for column, row in places:
+        text = read(page, lambda at=(column, row): move(*at), f"column {column}, row {row} ")
         assert float(re.search(r"disparity ([\d.]+) px", text)[1]) == pytest.approx(
             expected.disparity[row, column], abs=0.01
         )
         assert float(re.search(r"depth ([\d.]+) m", text)[1]) == pytest.approx(
             depth[row, column], rel=2e-3
         )
+        page.mouse.down()
+        page.mouse.up()
+    points = [
+        np.array([x - 147.5, y - 99.5, CALIBRATION.focal]) * depth[y, x] / CALIBRATION.focal
+        for x, y in places
+    ]
+    told = re.search(r"between the marks ([\d.]+) m", page.locator("#readout").inner_text())
+    assert float(told[1]) == pytest.approx(np.linalg.norm(points[0] - points[1]), rel=5e-3)
 
-    # The confidence.
-    page.get_by_role("tab", name="Confidence").click()
-    sure = picture(fetch(page, page.locator("#confidence img"), "src"))
-    np.testing.assert_allclose(sure / 255, expected.confidence, atol=0.01)
+    # The sliders leave pixels out, without the server.
+    asked = set(page.asked)
+    page.locator("#sure input").fill("90")
+    kept = pixels(page, "#disparity")[..., 3] == 255
+    assert (kept == (np.rint(255 * expected.confidence) / 255 >= 0.9)).mean() > 0.99
+    page.locator("#sure input").fill("0")
+    page.locator("#far").fill("128")
+    kept = pixels(page, "#disparity")[..., 3] == 255
+    assert 0.05 < kept.mean() < 0.95
+    assert expected.disparity[kept].min() > expected.disparity[~kept].max() - 0.1
+    assert page.asked == asked
 
-    turn_the_cloud(page)
+    turn_the_shape(page)
     hosts = {url.split("/")[2] for url in page.asked if url.startswith(("http", "ws"))}
     assert hosts == {page.url.split("/")[2]}
 
 
-def turn_the_cloud(page):
-    canvas = page.locator("#cloud canvas")
+def turn_the_shape(page):
+    canvas = page.locator("#shape canvas")
 
     def opened():
         page.get_by_role("tab", name="3D").click()  # once in many runs one click opens nothing
@@ -257,32 +279,25 @@ def turn_the_cloud(page):
     until(lambda: at_rest() and np.abs(seen[-1] - before).mean() > 1, "it does not turn")
 
 
-def test_bad_input_is_one_line_on_the_page(visit, folder):
+def test_bad_input_is_one_line_at_its_field(visit, folder):
     page = visit(1280, 900)
-
-    def expect_error(words):
-        toast = page.locator(".toast-body", has_text=words)
-        toast.wait_for()
-        # It may go by itself meanwhile, so that a click could find nothing.
-        toast.locator(".toast-close").evaluate_all("all => all.forEach(button => button.click())")
-        toast.wait_for(state="detached")
-
+    choose(page, folder / "text.png")
+    page.locator("#pair_error", has_text="this is no PNG, JPEG, WebP or BMP picture").wait_for()
+    choose(page, folder / "left.png", folder / "right_broken.png")
+    page.locator("#pair_error", has_text="right picture: not an image").wait_for()
+    choose_pair(page, folder)
+    assert not page.locator("#pair_error p").count()
+    page.locator("#baseline input").fill("0")
     page.locator("#match").click()
-    expect_error("there is no left picture")
-    page.locator("#left input[type=file]").set_input_files(folder / "text.png")
-    expect_error("this is no PNG, JPEG, WebP or BMP picture")
-    page.locator("#left input[type=file]").wait_for(state="attached")  # it is empty again
-    choose(page, "left", folder / "left.png")
-    choose(page, "right", folder / "broken.png")
-    page.locator("#match").click()
-    expect_error("right picture: not an image")
-    page.locator("#right button[aria-label='Remove Image']").click()
-    choose(page, "right", folder / "right.png")
-    page.locator("#focal input").fill("400")
-    page.locator("#match").click()
-    expect_error("the baseline is 0 or missing")
-    page.locator("#baseline input").fill("0.2")
+    page.locator("#cameras_error", has_text="the baseline is 0 or missing").wait_for()
+    page.locator("#metres input").uncheck()
     match(page)
+    assert not page.locator("#cameras_error p").count()
+    page.locator("#ticks", has_text="px").wait_for()
+    page.locator("#match").click()
+    page.locator("#cancel").click()
+    page.locator("#facts", has_text="Cancelled").wait_for()
+    assert not page.locator(".toast-body").count()
 
 
 def test_a_phone_and_an_example(visit, folder):
@@ -290,10 +305,10 @@ def test_a_phone_and_an_example(visit, folder):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.locator("#examples img").nth(1).tap()
     page.wait_for_function(
-        "Math.abs(document.querySelector('#facts').getBoundingClientRect().top) < innerHeight / 2"
+        "Math.abs(document.querySelector('#results').getBoundingClientRect().top) < innerHeight / 2"
     )
-    page.locator("#facts", has_text="matched in").wait_for()
-    shown = page.locator("#disparity img").first
+    matched(page, 512)
+    shown = page.locator("#picture")
     read(page, lambda: shown.tap(position={"x": 30, "y": 60}, force=True), r"depth [\d.]+ m")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 

@@ -18,11 +18,17 @@ import torch
 
 from extras import need_extra
 from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
+from mobilestereonet.web.cameras import FILE, NUMBERS
 from mobilestereonet.web.uploads import UploadLimits
 
 gr = need_extra("gradio")
 
-from mobilestereonet.web.handlers import Handlers, PageConfig  # noqa: E402
+from mobilestereonet.web.handlers import (  # noqa: E402
+    FieldError,
+    Handlers,
+    PageConfig,
+    failed,
+)
 from mobilestereonet.web.page import build_page  # noqa: E402
 from mobilestereonet.web.server import Guard, is_own_name, running  # noqa: E402
 
@@ -31,6 +37,7 @@ PICTURE, OTHER = (
     for view in np.random.default_rng(0).integers(0, 255, (2, 32, 48, 3), np.uint8)
 )
 VISITOR = SimpleNamespace(session_hash="someone")
+CLICK = [False, "msnet2d", "torch", True, NUMBERS, 50, 0.2, 0, 0, 0.5]
 
 
 def make_matcher(model, engine):
@@ -76,10 +83,22 @@ def upload(address, content, name="picture.png"):
 def join(address, event, data):
     """Ask for the first event of that kind, as the browser does."""
     config = json.loads(get(f"{address}/config")[2])
-    index = next(item["id"] for item in config["dependencies"] if item["targets"][0][1] == event)
+    index = next(
+        item["id"]
+        for item in config["dependencies"]
+        if item["targets"][0][1] == event and len(item["inputs"]) == len(data)
+    )
     body = {"data": data, "fn_index": index, "session_hash": "intruder"}
     headers = {"Content-Type": "application/json"}
     assert get(f"{address}/gradio_api/queue/join", json.dumps(body).encode(), headers)[0] == 200
+
+
+def events(address):
+    """Wait for the end of what was asked for; gives the last message."""
+    url = f"{address}/gradio_api/queue/data?session_hash=intruder"
+    with urlopen(url, timeout=20) as stream:
+        line = next(line for line in stream if b"process_completed" in line)
+    return json.loads(line.removeprefix(b"data: "))
 
 
 def files_below(folder):
@@ -162,26 +181,19 @@ def test_uploads_have_a_limit_and_a_place(address):
     ],
 )
 def test_an_upload_event_takes_no_other_path(address, path, words):
-    join(address, "upload", [{"path": path, "meta": {"_type": "gradio.FileData"}}])
-    url = f"{address}/gradio_api/queue/data?session_hash=intruder"
-    with urlopen(url, timeout=20) as stream:
-        for line in stream:
-            if b"process_completed" in line:
-                break
-    message = json.loads(line.removeprefix(b"data: "))
+    join(address, "upload", [[{"path": path, "meta": {"_type": "gradio.FileData"}}]])
+    message = events(address)
     assert message["success"] is False
     assert message["output"]["error"] == words  # None: gradio's own refusal, not told
 
 
-@pytest.mark.parametrize("place", range(7))
+@pytest.mark.parametrize("place", range(10))
 def test_no_component_fetches_an_address(address, place):
     file = {"path": "http://127.0.0.1:1/x.png", "meta": {"_type": "gradio.FileData"}}
-    values = ["msnet2d", "torch", 0, 0, 0, 0, 0.5]
+    values = list(CLICK)
     values[place] = file if place % 2 else {"deep": [file]}
     join(address, "click", values)
-    with urlopen(f"{address}/gradio_api/queue/data?session_hash=intruder", timeout=20) as stream:
-        line = next(line for line in stream if b"process_completed" in line)
-    message = json.loads(line.removeprefix(b"data: "))
+    message = events(address)
     assert message["success"] is False
     assert message["output"]["error"] == "upload the picture itself"
 
@@ -289,18 +301,18 @@ def test_a_match_that_still_writes_at_the_end_leaves_nothing(config, monkeypatch
         finally:
             written.set()
 
-    monkeypatch.setattr("mobilestereonet.web.handlers.answer", slow)
     with running(config) as address:
-        join(address.rstrip("/"), "click", ["msnet2d", "torch", 0, 0, 0, 0, 0.5])
+        monkeypatch.setattr("mobilestereonet.web.handlers.answer", slow)
+        join(address.rstrip("/"), "click", CLICK)
         assert writing.wait(20)
     assert written.wait(20)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_click_and_an_example_share_one_queue(act):
-    events = [event for event in build_page(act).fns.values() if event.fn == act.match]
-    assert len(events) == 2
-    assert {(event.concurrency_id, event.concurrency_limit) for event in events} == {("match", 1)}
+def test_all_ways_to_a_match_share_one_queue(act):
+    found = [event for event in build_page(act).fns.values() if event.concurrency_id == "match"]
+    assert len(found) == 4  # the button, and after a drop, a swap and an example
+    assert {event.concurrency_limit for event in found} == {1}
 
 
 @pytest.fixture
@@ -309,56 +321,121 @@ def act(config, tmp_path):
 
 
 def put(folder, content, name="picture.png"):
-    path = folder / "a1b2" / name
+    path = folder / Path(name).stem / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(content)
     return {"path": str(path)}
 
 
-def match(act, runtime="torch", focal=50.0, baseline=0.2):
-    return act.match("msnet2d", runtime, focal, baseline, 0, 0, 0.0, VISITOR)
+def last(steps):
+    """The parts that an event changes, in the end."""
+    found = {}
+    for updates in steps:
+        found |= updates
+    return found
 
 
-def test_handlers_from_the_upload_to_the_cloud(act, tmp_path):
-    for side, picture in (("left", PICTURE), ("right", OTHER)):
-        path = act.upload_handler(side)(put(tmp_path, picture), VISITOR)
-        assert Path(path).read_bytes() == picture.tobytes()
-    facts, pictures, readings, *_ = match(act)
-    assert "msnet2d on torch fp32, 48x32" in facts
-    assert all(Path(path).is_file() for path in pictures)
-    assert readings["depth"] == pytest.approx(10)
-    assert Path(act.cloud(VISITOR)).suffix == ".glb"
-    act.clear_handler("right")(VISITOR)
-    with pytest.raises(gr.Error, match="there is no right picture"):
-        match(act)
+def match(act, runtime="torch", metres=True, source=NUMBERS, focal=50.0, baseline=0.2, **options):
+    chosen = options.get("chosen", False)
+    numbers = (focal, baseline, 0, 0, 0.0)
+    return last(act.match(VISITOR, chosen, "msnet2d", runtime, metres, source, *numbers))
+
+
+def test_the_page_opens_with_a_result(act, monkeypatch):
+    monkeypatch.setattr("mobilestereonet.web.handlers.MIN_CONFIDENCE", 0.0)
+    opened = act.open()
+    assert "msnet2d on torch fp32, 48x32" in opened["facts"]
+    assert opened["view"]["geometry"]["depth"] == pytest.approx(10)
+    assert Path(opened["everything"]["value"]).is_file()
+    assert Path(act.shape(VISITOR, "Surface")).suffix == ".glb"
+    assert "matched in" in match(act)["facts"]
+
+
+def test_handlers_from_the_upload_to_the_shape(act, tmp_path):
+    files = [put(tmp_path, PICTURE, "a.png"), put(tmp_path, OTHER, "b.png")]
+    taken = last(act.take_pair(VISITOR, files))
+    assert Path(taken["left"]).read_bytes() == PICTURE.tobytes()
+    assert taken["view"].keys() == {"left"}  # at once
+    found = match(act)
+    assert "msnet2d on torch fp32, 48x32" in found["facts"]
+    assert found["view"]["geometry"]["depth"] == pytest.approx(10)
+    assert found["progress"] is None
+    assert {Path(act.shape(VISITOR, kind)).name for kind in ("Surface", "Points")} == {
+        "stereo_mesh.glb",
+        "stereo_points.glb",
+    }
+    swapped = last(act.swap(VISITOR, True))
+    assert Path(swapped["left"]).read_bytes() == OTHER.tobytes()
     act.leave(VISITOR)
     assert files_below(act.sessions.root) == []
 
 
-def test_an_example_fills_everything_in(act, config):
-    left, right, *numbers = act.take_example(SimpleNamespace(index=0), VISITOR)
-    assert Path(left).is_file()
-    assert Path(right).is_file()
-    assert numbers == [50, 0.2, 1]
-    assert match(act, focal=numbers[0], baseline=numbers[1])
+def test_without_metres_nothing_is_asked(act):
+    found = match(act, metres=False, focal=None, baseline=None)
+    assert found["view"]["geometry"] is None
+    assert found["depth"]["interactive"] is False
+    assert found["blender"]["interactive"] is True
+
+
+def test_progress_tells_seconds_that_were_measured(act):
+
+    def told():
+        steps = act.match(VISITOR, False, "msnet2d", "torch", True, NUMBERS, 50, 0.2, 0, 0, 0.0)
+        return [step["progress"] for step in steps if step.get("progress")]
+
+    first, second = told(), told()
+    assert [step["label"] for step in first] == ["Loading msnet2d", "Matching", "Writing the files"]
+    assert first[1]["expected"] is None
+    assert 0 < second[1]["expected"] < 60
+
+
+def test_a_cancelled_match_changes_nothing(act, monkeypatch):
+    go = Event()
+    matcher = act._matcher("msnet2d", "torch")
+    whole = matcher.match
+    monkeypatch.setattr(matcher, "match", lambda pair: go.wait(20) and whole(pair))
+    steps = act.match(VISITOR, False, "msnet2d", "torch", True, NUMBERS, 50, 0.2, 0, 0, 0.0)
+    assert "Matching" in str([next(steps), next(steps)])
+    steps.close()  # as gradio does
+    go.set()
+    act._worker.submit(int).result(20)
+    assert not act.sessions["someone"].holds("answer")
+    assert last(act.cancel(VISITOR))["facts"] == "Cancelled."
+
+
+def test_an_example_fills_everything_in(act):
+    found = last(act.take_example(SimpleNamespace(index=0), VISITOR))
+    assert Path(found["left"]).is_file()
+    assert Path(found["right"]).is_file()
+    assert [found[name] for name in ("metres", "source", "focal", "baseline", "doffs")] == [
+        *(True, NUMBERS, 50, 0.2, 1)
+    ]
+    assert found["view"].keys() == {"left"}
 
 
 @pytest.mark.parametrize(
-    "payload", [None, {}, {"path": None}, {"path": "/etc/passwd"}, {"path": "../../x"}]
+    "payload", [None, [], [None], [{}], [{"path": None}], [{"path": "/etc/passwd"}]]
 )
 def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
-    with pytest.raises(gr.Error, match="the upload is not there"):
-        act.upload_handler("left")(payload, VISITOR)
+    with pytest.raises(FieldError, match=r"pair_error.*(upload is not there|no picture)"):
+        last(act.take_pair(VISITOR, payload))
+    file = payload and payload[0]
+    with pytest.raises(FieldError, match=r"cameras_error.*the upload is not there"):
+        last(act.take_calibration(VISITOR, file))
     assert files_below(tmp_path) == []
 
 
-def test_errors_are_one_line_on_the_page(act, tmp_path):
-    with pytest.raises(gr.Error, match="no PNG, JPEG"):
-        act.upload_handler("left")(put(tmp_path, b"text"), VISITOR)
-    with pytest.raises(gr.Error, match="there is no left picture"):
-        match(act)
-    act.take_example(SimpleNamespace(index=0), VISITOR)
-    with pytest.raises(gr.Error, match="the baseline is 0 or missing"):
+def test_errors_are_one_line_at_their_field(act, tmp_path):
+    with pytest.raises(FieldError, match=r"pair_error.*no PNG, JPEG"):
+        last(act.take_pair(VISITOR, [put(tmp_path, b"text")]))
+    with pytest.raises(FieldError, match=r"pair_error.*there is no left picture"):
+        match(act, chosen=True)  # as after an hour
+    with pytest.raises(FieldError, match=r"cameras_error.*the baseline is 0 or missing"):
         match(act, baseline=0.0)
-    with pytest.raises(gr.Error, match="&lt;b&gt;install it"):
+    with pytest.raises(FieldError, match=r"cameras_error.*no calibration file"):
+        match(act, source=FILE)
+    with pytest.raises(FieldError, match=r"cameras_error.*calibration file"):
+        last(act.take_calibration(VISITOR, put(tmp_path, b"no calibration", "calib.txt")))
+    with pytest.raises(FieldError, match=r"match_error.*<b>install it") as error:
         match(act, runtime="missing")
+    assert "&lt;b&gt;install it" in failed(error.value)["match_error"]

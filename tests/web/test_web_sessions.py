@@ -1,24 +1,40 @@
 """What the page does with pictures and numbers, without gradio."""
 
 import base64
+import io
 import struct
 import zlib
 from threading import Thread
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
-from mobilestereonet.data.files import read_pfm
 from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
 from mobilestereonet.inference import Rectifier, load_pair
-from mobilestereonet.web.answer import CLOUD, Geometry, answer
+from mobilestereonet.web.answer import (
+    CLOUD,
+    MESH,
+    answer,
+    prepare,
+    rectifier_of,
+    view,
+)
+from mobilestereonet.web.cameras import CAMERAS, FILE, NUMBERS, UNKNOWN, Geometry
 from mobilestereonet.web.sessions import Sessions
-from mobilestereonet.web.uploads import UploadLimits, admit
+from mobilestereonet.web.uploads import (
+    UploadLimits,
+    admit,
+    admit_calibration,
+    admit_pair,
+    read_views,
+)
 
 LEFT, RIGHT = np.random.default_rng(0).integers(0, 256, (2, 40, 64, 3), dtype=np.uint8)
 
@@ -58,9 +74,30 @@ def matcher():
 def session(root, sessions, upload):
     """A session with a pair."""
     session = sessions["someone"]
-    for side, view in (("left", LEFT), ("right", RIGHT)):
-        admit(upload(view), root, session, side, UploadLimits())
+    for side, picture in (("left", LEFT), ("right", RIGHT)):
+        admit(upload(picture), root, session, side, UploadLimits())
     return session
+
+
+def known(focal=50, baseline=0.2, doffs=0, max_depth=100, min_confidence=0.0):
+    return Geometry(NUMBERS, None, focal, baseline, doffs, max_depth, min_confidence)
+
+
+def ask(session, matcher, geometry, rectifier=None, pixels=UploadLimits().pixels):
+    """An answer, and what the browser shows of it."""
+    pair, size = read_views(session, pixels)
+    pair = prepare(pair, size, rectifier_of(geometry, size, pair) or rectifier, matcher)
+    result = matcher.match(pair)
+    return answer(session, pair, result, geometry), view(pair, result, geometry.guessed)
+
+
+def names_in(session):
+    return {path.name for path in files_below(session.folder)}
+
+
+def shown(data_url):
+    content = base64.b64decode(data_url.partition(",")[2])
+    return cv2.imdecode(np.frombuffer(content, np.uint8), -1)
 
 
 def files_below(folder):
@@ -103,8 +140,8 @@ def test_two_visitors_with_the_same_picture(root, sessions, upload):
         (b"no picture at all", "no PNG, JPEG, WebP or BMP"),
         (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "no PNG, JPEG, WebP or BMP"),
         (b"GIF89a" + bytes(100), "no PNG, JPEG, WebP or BMP"),
-        (png_header(2000, 1200), "2000 x 1200, more than 2.1 megapixels"),
-        (png_header(60_000, 60_000), "more than 2.1 megapixels"),
+        (png_header(9000, 9000), "9000 x 9000, more than 64 megapixels"),
+        (png_header(60_000, 60_000), "more than 64 megapixels"),
         (png_header(0, 5), "no PNG, JPEG, WebP or BMP"),
         (bytes(2**20 + 1), "more than 1 MB"),
     ],
@@ -126,7 +163,7 @@ def test_the_size_is_told_without_decoding(root, sessions, upload, monkeypatch):
             root,
             sessions["a"],
             "left",
-            UploadLimits(pixels=80_000_000),
+            UploadLimits(),
         )
 
 
@@ -153,42 +190,157 @@ def test_only_uploads_are_taken(root, sessions, upload, tmp_path):
     assert sessions["a"].file("left") is None
 
 
+def test_two_files_are_left_and_right_by_their_names(root, sessions, upload):
+    session = sessions["a"]
+    files = [upload(RIGHT, "scene_R.png", "r"), upload(LEFT, "scene_L.png", "l")]
+    admit_pair(files, root, session, UploadLimits())
+    pair, _ = read_views(session, 10**6)
+    np.testing.assert_array_equal(pair.left_image[..., ::-1], LEFT)
+    session.swap("left", "right")
+    np.testing.assert_array_equal(read_views(session, 10**6)[0].right_image[..., ::-1], LEFT)
+    with pytest.raises(InputError, match="these are 3 pictures"):
+        admit_pair([*files, files[0]], root, session, UploadLimits())
+    with pytest.raises(InputError, match="there is no picture"):
+        admit_pair([], root, session, UploadLimits())
+
+
+def test_one_file_after_the_other(root, sessions, upload):
+    session = sessions["a"]
+    admit_pair([upload(LEFT)], root, session, UploadLimits())
+    with pytest.raises(InputError, match="there is no right picture yet: drop it, too"):
+        read_views(session, 10**6)
+    admit_pair([upload(RIGHT)], root, session, UploadLimits())
+    np.testing.assert_array_equal(read_views(session, 10**6)[0].right_image[..., ::-1], RIGHT)
+    admit_pair([upload(RIGHT)], root, session, UploadLimits())  # a new left one
+    assert session.file("right") is None
+
+
+def mpo():
+    frames = [Image.fromarray(picture) for picture in (LEFT, RIGHT)]
+    file = io.BytesIO()
+    frames[0].save(file, "MPO", save_all=True, append_images=frames[1:], quality=95)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("pixels", [10**6, 600])
+@pytest.mark.parametrize("content", [np.hstack([LEFT, RIGHT]), mpo()], ids=["joined", "mpo"])
+@pytest.mark.parametrize("first", [None, LEFT], ids=["alone", "after a left one"])
+def test_one_picture_of_both_views(root, sessions, upload, content, pixels, first):
+    session = sessions["a"]
+    if first is not None:
+        admit_pair([upload(first)], root, session, UploadLimits())
+    for _ in range(2):  # the next one of the same camera replaces it
+        admit_pair([upload(content)], root, session, UploadLimits())
+        assert session.file("right") is None
+        pair, size = read_views(session, pixels)
+        assert size == (64, 40)
+        assert pair.width * pair.height <= pixels
+        assert pair.width / pair.height == pytest.approx(1.6, rel=0.1)
+
+
+def test_large_pictures_are_scaled_and_the_calibration_with_them(session, matcher):
+    found, seen = ask(session, matcher, known(doffs=4), pixels=640)
+    assert shown(seen["left"]).shape == (20, 32, 3)
+    assert seen["geometry"]["focal"] == 25
+    assert seen["geometry"]["depth"] == pytest.approx(5)
+    assert seen["geometry"]["doffs"] == 2
+    assert "32x20" in found.summary
+
+
 def test_what_is_shown_and_written(session, matcher):
-    found = answer(session, matcher, Geometry(focal=50, baseline=0.2, doffs=3, max_depth=100))
+    found, seen = ask(session, matcher, known(doffs=3))
     expected = matcher(LEFT[..., ::-1], RIGHT[..., ::-1])
-    files = {path.name: path for path in found.files}
-    np.testing.assert_array_equal(np.load(files["stereo_disparity.npy"]), expected.disparity)
-    np.testing.assert_array_equal(read_pfm(files["stereo_disparity.pfm"]), expected.disparity)
-    np.testing.assert_allclose(
-        np.load(files["stereo_depth.npy"]), 50 * 0.2 / (expected.disparity + 3), rtol=1e-6
+    assert list(found.downloads) == ["picture", "depth", "blender", "everything"]
+    depth = 50 * 0.2 / (expected.disparity + 3)
+    metres = cv2.imread(str(found.downloads["depth"]), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(metres, depth, rtol=1e-5)
+    assert decode_image(found.downloads["picture"]).shape == LEFT.shape
+    assert found.downloads["blender"].read_bytes().startswith(b"glTF")
+    with ZipFile(found.downloads["everything"]) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    assert {CLOUD, MESH, "left.png", "stereo_depth.png", "stereo_depth.npy"} < set(files)
+    np.testing.assert_array_equal(
+        np.load(io.BytesIO(files["stereo_disparity.npy"])), expected.disparity
     )
-    np.testing.assert_array_equal(decode_image(found.left), LEFT)
-    assert decode_image(found.disparity).shape == LEFT.shape
-    assert files["stereo_points.ply"].read_bytes().startswith(b"ply")
-    assert session.file("answer", CLOUD).read_bytes().startswith(b"glTF")
+    assert files["stereo_points.ply"].startswith(b"ply")
     assert found.summary.startswith("msnet2d on torch fp32, 64x40: matched in ")
-    assert set(files_below(session.folder)) >= set(found.files)
+    seen_left, left = (cv2.blur(image, (9, 9)) for image in (shown(seen["left"]), LEFT))
+    assert np.abs(seen_left.astype(float) - left).mean() < 5  # noise, as JPEG
 
 
-def test_readings_unpack_to_the_disparity(session, matcher):
-    found = answer(session, matcher, Geometry(focal=50, baseline=0.2, doffs=3))
+def test_maps_unpack_to_the_disparity(session, matcher):
+    _, seen = ask(session, matcher, known(doffs=3))
     expected = matcher(LEFT[..., ::-1], RIGHT[..., ::-1])
-    png = base64.b64decode(found.readings["levels"].partition(",")[2])
-    sure, low, high = np.moveaxis(
-        cv2.imdecode(np.frombuffer(png, np.uint8), -1).astype(float), 2, 0
-    )
+    sure, low, high = np.moveaxis(shown(seen["levels"]).astype(float), 2, 0)
     np.testing.assert_allclose((256 * high + low) / 256, expected.disparity, atol=1 / 512)
     np.testing.assert_allclose(sure / 255, expected.confidence, atol=1 / 510)
-    assert found.readings["depth"] == pytest.approx(10)
-    assert found.readings["doffs"] == 3
+    assert seen["geometry"] == {
+        **{"focal": 50, "depth": pytest.approx(10), "doffs": 3},
+        **{"cx": 31.5, "cy": 19.5, "guessed": False},
+    }
 
 
-def test_without_calibration_there_is_no_depth(session, matcher):
-    for empty in (Geometry(), Geometry(0, 0, 0)):
-        found = answer(session, matcher, empty)
-        assert found.readings["depth"] is None
-        assert not any("depth" in path.name or "points" in path.name for path in found.files)
-        assert session.file("answer", CLOUD) is None
+def test_without_metres_there_is_a_shape_and_no_depth(session, matcher):
+    found, seen = ask(session, matcher, Geometry(max_depth=100))
+    assert seen["geometry"] is None
+    assert list(found.downloads) == ["picture", "blender", "everything"]
+    assert not any("depth" in name for name in names_in(session))
+
+
+def test_cameras_by_model(session, matcher):
+    oak = CAMERAS["OAK-D"]
+    assert oak.calibration((1280, 800)).focal == 882.5
+    assert oak.calibration((640, 400)).focal == 441.25
+    assert CAMERAS["ZED 2"].calibration((1920, 1080)).focal == 1060
+    _, seen = ask(session, matcher, Geometry("OAK-D", max_depth=100))
+    assert seen["geometry"]["depth"] == pytest.approx(882.5 / 20 * 0.075)
+    assert seen["geometry"]["guessed"] is False
+    with pytest.raises(InputError, match="no camera 'Holga'"):
+        ask(session, matcher, Geometry("Holga"))
+
+
+def test_a_guessed_scale_is_said_to_be_guessed(session, matcher):
+    found, seen = ask(session, matcher, Geometry(UNKNOWN, max_depth=100))
+    assert seen["geometry"]["guessed"] is True
+    assert any("the scale is guessed" in note for note in found.notes)
+
+
+CALIB = "cam0=[50 0 31; 0 50 20; 0 0 1]\ncam1=[50 0 33; 0 50 20; 0 0 1]\nbaseline=200\n"
+
+
+def test_a_calibration_file(root, session, upload, matcher):
+    text = f"{CALIB}doffs=2\nwidth=64\nheight=40\n"
+    admit_calibration(upload(text.encode(), "calib.txt"), root, session)
+    geometry = Geometry(FILE, session.file("calibration"), max_depth=100)
+    for pixels, focal in ((10**6, 50), (640, 25)):
+        _, seen = ask(session, matcher, geometry, pixels=pixels)
+        assert seen["geometry"]["focal"] == focal
+        assert seen["geometry"]["depth"] == pytest.approx(focal * 0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("calib.exe", b"MZ", "its name must end with one of"),
+        ("calib.txt", bytes(2**20 + 1), "more than 1 MB"),
+    ],
+)
+def test_a_bad_calibration_upload_is_deleted(root, sessions, upload, name, content, words):
+    path = upload(content, name)
+    with pytest.raises(InputError, match=f"calibration file: .*{words}"):
+        admit_calibration(path, root, sessions["a"])
+    assert files_below(root) == []
+
+
+def test_a_calibration_file_that_is_none(root, session, upload, matcher):
+    admit_calibration(upload(b"nothing of use", "calib.txt"), root, session)
+    with pytest.raises(InputError, match="the calibration file") as error:
+        ask(session, matcher, Geometry(FILE, session.file("calibration")))
+    assert str(root) not in str(error.value)
+    with pytest.raises(InputError, match=r"no calibration file \(any more\)"):
+        ask(session, matcher, Geometry(FILE))
+    with pytest.raises(InputError, match="the upload is not there"):
+        admit_calibration(session.file("left"), root, session)
 
 
 def test_cameras_of_the_page(session, matcher):
@@ -197,89 +349,94 @@ def test_cameras_of_the_page(session, matcher):
     lens = Camera(camera, np.zeros(5))
     pair = CameraPair(lens, lens, turned, np.array([-0.1, 0, 0]), (64, 40))
     rectifier = Rectifier(Rig((pair,), "the cameras of this page"))
-    found = answer(session, matcher, Geometry(max_depth=100), rectifier)
-    known = rectifier.calibration((64, 40))
-    assert found.readings["depth"] == pytest.approx(known.focal * known.baseline)
-    assert (decode_image(found.left) != LEFT).any()  # rectified
-    own = answer(session, matcher, Geometry(50, 0.2), rectifier)  # what is filled in counts
-    assert own.readings["depth"] == pytest.approx(10)
+    _, seen = ask(session, matcher, Geometry(max_depth=100), rectifier)
+    calibration = rectifier.calibration((64, 40))
+    depth = calibration.focal * calibration.baseline
+    assert seen["geometry"]["depth"] == pytest.approx(depth)
+    left = decode_image(session.file("answer", "left.png"))
+    assert (left != LEFT).any()  # rectified
+    _, own = ask(session, matcher, known(), rectifier)  # what is filled in counts
+    assert own["geometry"]["depth"] == pytest.approx(10)
     small = Rectifier(Rig((CameraPair(lens, lens, turned, pair.translation, (63, 40)),), "cameras"))
     with pytest.raises(InputError, match=r"cameras: .*63x40, these have 64x40"):
-        answer(session, matcher, Geometry(), small)
+        ask(session, matcher, Geometry(), small)
 
 
 def test_views_that_cannot_give_depth_give_none(root, sessions, upload, matcher):
     noise = np.random.default_rng(0).integers(0, 256, (120, 260, 3), dtype=np.uint8)
     wide = cv2.GaussianBlur(noise, (0, 0), 1)
     session = sessions["someone else"]
-    for side, view in (("left", wide[:, :240]), ("right", np.roll(wide, 6, axis=0)[:, 20:])):
-        admit(upload(view), root, session, side, UploadLimits())
-    found = answer(session, matcher, Geometry(focal=50, baseline=0.2))
-    assert any("no depth and no points of such views (rectified)" in note for note in found.notes)
-    assert found.readings["depth"] is None
-    assert not any("depth" in path.name or "points" in path.name for path in found.files)
+    views = {"left": wide[:, :240], "right": np.roll(wide, 6, axis=0)[:, 20:]}
+    for side, picture in views.items():
+        admit(upload(picture), root, session, side, UploadLimits())
+    found, seen = ask(session, matcher, known())
+    assert any("no depth in metres of such views (rectified)" in note for note in found.notes)
+    assert seen["geometry"] is None
+    assert "depth" not in found.downloads
 
 
 def test_an_engine_without_confidence(session):
-    found = answer(session, StereoMatcher.from_pretrained("sgbm"), Geometry(50, 0.2, 0, 100, 0.5))
-    assert found.confidence is None
-    assert found.readings["confident"] is False
+    _, seen = ask(session, StereoMatcher.from_pretrained("sgbm"), known(min_confidence=0.5))
+    assert seen["confident"] is False
     assert session.file("answer", CLOUD) is not None
 
 
 def test_no_point_is_a_note(session, matcher):
-    found = answer(session, matcher, Geometry(50, 0.2, max_depth=1e-6))
-    assert any(note.startswith("points: none") for note in found.notes)
+    found, _ = ask(session, matcher, known(max_depth=1e-6))
+    assert any(note.startswith("3D: no surface") for note in found.notes)
     assert session.file("answer", CLOUD) is None
+    assert "blender" not in found.downloads
 
 
 @pytest.mark.parametrize(
     ("geometry", "words"),
     [
-        (Geometry(50, 0), "baseline is 0 or missing"),
-        (Geometry(None, 0.1), "focal length is 0 or missing"),
-        (Geometry(50, -0.1), "baseline must be positive"),
-        (Geometry(float("nan"), 0.1), "focal must be positive"),
-        (Geometry(50, 0.1, float("inf")), "doffs must be finite"),
+        (known(50, 0), "baseline is 0 or missing"),
+        (known(None, 0.1), "focal length is 0 or missing"),
+        (known(0, 0), "focal length is 0 or missing"),
+        (known(50, -0.1), "baseline must be positive"),
+        (known(float("nan"), 0.1), "focal must be positive"),
+        (known(50, 0.1, float("inf")), "doffs must be finite"),
     ],
 )
 def test_bad_calibration(session, matcher, geometry, words):
     before = files_below(session.folder)
     with pytest.raises(InputError, match=words):
-        answer(session, matcher, geometry)
+        ask(session, matcher, geometry)
     assert files_below(session.folder) == before
 
 
-def test_bad_pairs(root, session, upload, matcher):
+@pytest.mark.parametrize("pixels", [10**6, 600])
+def test_bad_pairs(root, session, upload, matcher, pixels):
     whole = cv2.imencode(".png", RIGHT)[1].tobytes()
     for content, words in (
-        (RIGHT[:-8], "left picture has 64x40, right picture has 64x32"),
+        (RIGHT[:-8], "left.* has 64x40, right.* has 64x32"),
         (whole[:200], "right picture: not an image"),
     ):
         admit(upload(content), root, session, "right", UploadLimits())
         before = files_below(session.folder)
         with pytest.raises(InputError, match=words) as error:
-            answer(session, matcher, Geometry())
+            ask(session, matcher, Geometry(), pixels=pixels)
         assert str(root) not in str(error.value)
         assert files_below(session.folder) == before
-    session.drop("right")
-    with pytest.raises(InputError, match="there is no right picture"):
-        answer(session, matcher, Geometry())
+    session.drop("left")
+    with pytest.raises(InputError, match="there is no left picture"):
+        ask(session, matcher, Geometry())
 
 
-def test_a_picture_that_goes_meanwhile(root, session, matcher, monkeypatch):
+def test_a_picture_that_goes_meanwhile(root, session, monkeypatch):
     def late(left, right):
         left.unlink()
         return load_pair(left, right)
 
-    monkeypatch.setattr("mobilestereonet.web.answer.load_pair", late)
+    monkeypatch.setattr("mobilestereonet.web.uploads.load_pair", late)
     with pytest.raises(InputError, match="left picture: no such file") as error:
-        answer(session, matcher, Geometry())
+        read_views(session, 10**6)
     assert str(root) not in str(error.value)
 
 
 def test_a_failure_on_the_way_leaves_the_former_answer(session, matcher, monkeypatch):
-    answer(session, matcher, Geometry(50, 0.2))
+    ask(session, matcher, known())
     before = files_below(session.folder)
 
     def full(path, depth):
@@ -288,12 +445,12 @@ def test_a_failure_on_the_way_leaves_the_former_answer(session, matcher, monkeyp
 
     monkeypatch.setattr("mobilestereonet.web.answer.write_depth", full)
     with pytest.raises(OSError, match="no space"):
-        answer(session, matcher, Geometry(50, 0.2))
+        ask(session, matcher, known())
     assert files_below(session.folder) == before
 
 
 def test_closing_deletes_everything(root, sessions, session, matcher):
-    answer(session, matcher, Geometry(50, 0.2))
+    ask(session, matcher, known())
     other = sessions["other"]
     sessions.close("someone")
     sessions.close("someone")

@@ -7,7 +7,16 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import RigFiles
-from mobilestereonet.cli.engine import Device, MatcherOptions, NetworkValues, Precision, Threads
+from mobilestereonet.cli.engine import (
+    Device,
+    MatcherOptions,
+    Model,
+    NetworkValues,
+    Precision,
+    QualityLevel,
+    Threads,
+    Weights,
+)
 from mobilestereonet.errors import InputError
 
 
@@ -18,11 +27,16 @@ def web(
     port: Annotated[
         int | None, typer.Option(help="Default: the first free one from 7860 on.")
     ] = None,
+    model: Model = None,
+    weights: Weights = None,
+    quality: QualityLevel = None,
     precision: Precision = "auto",
     threads: Threads = None,
     device: Device = "auto",
     settings: NetworkValues = None,
-    max_megapixels: Annotated[float, typer.Option(help="Largest picture that is taken.")] = 2.1,
+    max_megapixels: Annotated[
+        float, typer.Option(help="Larger pictures are scaled down to so much.")
+    ] = 2.1,
     max_megabytes: Annotated[int, typer.Option(help="Largest upload that is taken.")] = 20,
     queue: Annotated[int, typer.Option(help="Visitors who may wait.")] = 8,
     *,
@@ -30,7 +44,8 @@ def web(
 ) -> None:
     """Serve a page to try pairs on, to this machine alone by default.
 
-    With --rig the pairs of one camera need no numbers: raw ones are rectified.
+    --model, --weights or --quality choose what it begins with; visitors can take another. With
+    --rig the pairs of one camera need no numbers: raw ones are rectified.
     """
     import signal
     import sys
@@ -39,6 +54,7 @@ def web(
     from threading import Event
 
     options = MatcherOptions(precision=precision, threads=threads, device=device, settings=settings)
+    own = replace(options, model=model, weights=weights, quality=quality)
     if find_spec("gradio") is None:
         raise InputError('gradio is not installed: pip install "mobilestereonet[web]"')
 
@@ -51,14 +67,19 @@ def web(
     from mobilestereonet.web.uploads import UploadLimits
     from mobilestereonet.weights import embedded_models, load_model
 
-    def matcher(model: str, engine: str) -> StereoMatcher:
-        if model == StereoSGBM.name:
-            return StereoMatcher.from_pretrained(model)
-        if model in QUALITIES:
-            chosen = replace(options, runtime=engine, quality=model)
+    first = weights.name if weights else model or quality or DEFAULT_QUALITY
+
+    def matcher(name: str, engine: str) -> StereoMatcher:
+        if name == StereoSGBM.name:
+            return StereoMatcher.from_pretrained(name)
+        if name == first and not own.is_default:
+            chosen = own
+        elif name in QUALITIES:
+            chosen = replace(options, quality=name)
         else:
-            chosen = replace(options, runtime=engine, model=model)
-        return chosen.open_matcher(confidence=True)
+            chosen = replace(options, model=name)
+        wanted = {} if chosen.is_standalone else {"confidence": True}
+        return replace(chosen, runtime=engine).open_matcher(**wanted)
 
     rectifier = cameras.read()
     if rectifier is not None:  # where the server keeps its files is nobody's business
@@ -66,9 +87,9 @@ def web(
     if settings:  # a mistake is told now, not to the first visitor
         for name in embedded_models():
             load_model(name, config=options.config)
-    levels = sorted(QUALITIES, key=lambda name: name != DEFAULT_QUALITY)
+    names = dict.fromkeys([first, *QUALITIES, *embedded_models(), StereoSGBM.name])
     config = PageConfig(
-        models=[*levels, *embedded_models(), StereoSGBM.name],
+        models=list(names),
         engines=[name for name in ENGINES if find_spec(name)],
         matcher=matcher,
         examples=examples(),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
@@ -14,19 +16,15 @@ import numpy as np
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.disparity_files import KITTI_SCALE
 from mobilestereonet.data.files import write_png
-from mobilestereonet.data.rig import Rig
+from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
-from mobilestereonet.inference import (
-    StereoMatcher,
-    StereoPair,
-    StereoResult,
-    load_pair,
-)
+from mobilestereonet.inference import StereoMatcher, StereoPair, StereoResult
 from mobilestereonet.inference.first_look import problems, put_right
 from mobilestereonet.inference.geometry import PointCloud
 from mobilestereonet.inference.rectify import Rectifier
 from mobilestereonet.plots import colour_disparity
+from mobilestereonet.web.cameras import ASSUMED, Geometry, Size
 from mobilestereonet.web.sessions import Session
 
 MAX_DEPTH_RATIO = 3.0
@@ -36,41 +34,16 @@ depth is poor, would make the rest look tiny."""
 MAX_SHOWN_POINTS = 400_000
 """Points that a browser turns smoothly; the PLY has all of them."""
 
+MAX_MESH_VERTICES = 250_000
+"""Vertices of the surface, above which only every other pixel has one, or fewer."""
+
 CLOUD = "stereo_points.glb"
 """File of an answer's points for the browser, if there is any."""
 
+MESH = "stereo_mesh.glb"
+"""File of an answer's surface for the browser and Blender, if there is any."""
 
-@dataclass(frozen=True)
-class Geometry:
-    """Geometry that the visitor filled in; None where a field is empty.
-
-    Attributes:
-        focal: Focal length in px.
-        baseline: Distance of the cameras in metres.
-        doffs: Difference of the principal points in px.
-        max_depth: Farther points are left out, in metres.
-        min_confidence: Less confident ones are left out.
-    """
-
-    focal: float | None = None
-    baseline: float | None = None
-    doffs: float | None = None
-    max_depth: float | None = None
-    min_confidence: float = 0.0
-
-    def calibration(self) -> Calibration | None:
-        """The calibration, None if it is left empty.
-
-        Raises:
-            InputError: If a number is impossible, or one of two is missing.
-        """
-        # An empty field of the page may come as 0.
-        if not self.focal and not self.baseline:
-            return None
-        if not self.focal or not self.baseline:
-            name = "baseline" if self.focal else "focal length"
-            raise InputError(f"the {name} is 0 or missing: fill in both, or none (then no depth)")
-        return Calibration(self.focal, self.baseline, self.doffs or 0.0)
+_JPEG_QUALITY = 92
 
 
 @dataclass(frozen=True)
@@ -78,130 +51,178 @@ class Answer:
     """Files and texts that the page shows.
 
     Attributes:
-        left: Picture of the left view.
-        disparity: Picture of the coloured disparity, of the same size.
-        confidence: Picture of the confidence, white is 1; None where the engine has none.
-        files: Files to download.
-        readings: Data from which `readout.js` reads the depth at a place.
+        downloads: Files by what the page calls them: ``picture``, ``depth``, ``blender`` and
+            ``everything``; without what could not be made.
         summary: Model, engine, precision, size and times.
         notes: Warnings about the pair.
     """
 
-    left: Path
-    disparity: Path
-    confidence: Path | None
-    files: list[Path]
-    readings: dict[str, Any]
+    downloads: dict[str, Path]
     summary: str
     notes: list[str]
 
 
-def answer(
-    session: Session,
-    matcher: StereoMatcher,
-    geometry: Geometry,
-    rectifier: Rectifier | None = None,
-) -> Answer:
-    """Match the pictures that a session holds.
+def rectifier_of(geometry: Geometry, size: Size, pair: StereoPair) -> Rectifier | None:
+    """What gives a pair the calibration that the visitor asks for.
 
     Args:
-        session: Has a ``left`` and a ``right`` picture; gets an ``answer``, in place of a former.
-        matcher: The matcher.
-        geometry: Calibration and limits of the points.
-        rectifier: Rectifies the pair, or has its calibration, where the geometry has none.
+        geometry: What the visitor says about the cameras.
+        size: Width and height of the views as they were uploaded.
+        pair: The pair, maybe scaled.
 
     Raises:
-        InputError: If a picture is missing or damaged, the sizes differ, or the calibration is
-            bad.
+        InputError: If the calibration is bad, or of pictures of another size.
     """
-    calibration = geometry.calibration()
-    if calibration is not None:
-        rectifier = Rectifier(Rig((calibration,), "the calibration"))
-    pair = put_right(
-        _load(session),
-        rectifier=rectifier,
-        max_disparity=matcher.max_disparity,
-        shift=matcher.shift,
+    rig = geometry.rig(size)
+    if rig is None:
+        return None
+    rectifier = Rectifier(rig, resized=size != (pair.width, pair.height))
+    rectifier.calibration((pair.width, pair.height))
+    return rectifier
+
+
+def prepare(
+    pair: StereoPair, size: Size, rectifier: Rectifier | None, matcher: StereoMatcher
+) -> StereoPair:
+    """Put a pair right, with its calibration if there is one.
+
+    Args:
+        pair: The pair.
+        size: Width and height of the views as they were uploaded.
+        rectifier: The visitor's, or that of the page's own cameras.
+        matcher: What is to match it.
+
+    Raises:
+        InputError: If the rectifier is of pictures of another size, or one picture was given that
+            does not show both views.
+    """
+    if rectifier is not None and size != (pair.width, pair.height):
+        rectifier = Rectifier(rectifier.rig, resized=True)
+    return put_right(
+        pair, rectifier=rectifier, max_disparity=matcher.max_disparity, shift=matcher.shift
     )
-    calibration = pair.calibration
-    result = matcher.match(pair)
+
+
+def answer(session: Session, pair: StereoPair, result: StereoResult, geometry: Geometry) -> Answer:
+    """Write what a session's pair became.
+
+    Args:
+        session: Gets an ``answer``, in place of a former.
+        pair: The pair, see `prepare`.
+        result: What the matcher made of it.
+        geometry: Limits of the points, and whether the scale is guessed.
+    """
     started = time.perf_counter()
+    calibration = _trusted(pair)
     notes = [str(finding) for finding in pair.findings if finding.level not in ("good", "unknown")]
-    if calibration is not None and (wrong := problems(pair.findings)):
-        notes.append(f"no depth and no points of such views ({wrong[0].check}): put them right")
-        calibration = None
+    if calibration is None and pair.calibration is not None:
+        wrong = problems(pair.findings)[0].check
+        notes.append(f"no depth in metres of such views ({wrong}): put them right")
+    if calibration is not None and geometry.guessed:
+        notes.append("the scale is guessed: a field of view of 60 degrees, cameras 65 mm apart")
     with session.replace("answer") as folder:
-        files = result.save(folder, "stereo")
-        left, disparity = folder / "left.png", folder / "stereo_disparity_colours.png"
-        write_png(left, result.left)
-        write_png(disparity, colour_disparity(result.disparity, valid=result.valid))
-        files["colours"] = disparity
-        if calibration is not None:
-            for suffix in (".png", ".npy"):
-                files[f"depth{suffix}"] = folder / f"stereo_depth{suffix}"
-                write_depth(files[f"depth{suffix}"], result.depth(calibration))
-            points = _points(result, calibration, geometry)
-            if len(points.points):
-                files["points"] = folder / "stereo_points.ply"
-                points.save(files["points"])
-                files["cloud"] = folder / CLOUD
-                _thinned(points).save(files["cloud"])
-            else:
-                notes.append("points: none is as near and as sure as asked for")
-        assert result.info is not None  # the matcher's results have one
-        matched, after = result.info.seconds, time.perf_counter() - started
-        return Answer(
-            left=left,
-            disparity=disparity,
-            confidence=files.get("confidence"),
-            files=list(files.values()),
-            readings=_readings(result, calibration),
-            summary=(
-                f"{result.info}: matched in {matched:.2f} s, checked and written in {after:.2f} s"
-            ),
-            notes=notes,
-        )
+        downloads = _write(folder, result, calibration, geometry, notes)
+    assert result.info is not None  # the matcher's results have one
+    matched, after = result.info.seconds, time.perf_counter() - started
+    return Answer(
+        downloads=downloads,
+        summary=f"{result.info}: matched in {matched:.2f} s, checked and written in {after:.2f} s",
+        notes=notes,
+    )
 
 
-def _load(session: Session) -> StereoPair:
-    left, right = session.file("left"), session.file("right")
-    if left is None or right is None:
-        side = "right" if left else "left"
-        raise InputError(f"there is no {side} picture (any more): choose one")
+def _trusted(pair: StereoPair) -> Calibration | None:
+    """The calibration, None if views that cannot give depth make it worthless."""
+    return None if problems(pair.findings) else pair.calibration
+
+
+def _write(
+    folder: Path,
+    result: StereoResult,
+    calibration: Calibration | None,
+    geometry: Geometry,
+    notes: list[str],
+) -> dict[str, Path]:
+    result.save(folder, "stereo")
+    downloads = {"picture": folder / "stereo_disparity_colours.png"}
+    write_png(downloads["picture"], colour_disparity(result.disparity, valid=result.valid))
+    write_png(folder / "left.png", result.left)
+    if calibration is not None:
+        for suffix in (".png", ".npy", ".tif"):
+            downloads["depth"] = folder / f"stereo_depth{suffix}"
+            write_depth(downloads["depth"], result.depth(calibration))
+    # The shape alone needs no scale.
+    height, width = result.disparity.shape
+    known = calibration or ASSUMED.calibration((width, height))
+    limits = _limits(result, known, geometry)
+    points = result.points(known, **limits)
     try:
-        return load_pair(left, right)
-    except (InputError, OSError) as error:
-        # Where the server keeps its files is nobody's business.
-        text = str(error).replace(str(left), "left picture").replace(str(right), "right picture")
-        raise InputError(text) from None
+        points.save(folder / "stereo_points.ply")
+        _thinned(points).save(folder / CLOUD)
+        step = math.ceil(math.sqrt(height * width / MAX_MESH_VERTICES))
+        result.mesh(known, step=step, **limits).save(folder / MESH)
+        downloads["blender"] = folder / MESH
+    except InputError:
+        notes.append("3D: no surface is as near and as sure as asked for")
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    with ZipFile(folder / "stereo.zip", "w") as archive:  # most of them are compressed already
+        for path in files:
+            archive.write(path, path.name)
+    return downloads | {"everything": folder / "stereo.zip"}
 
 
-def _points(result: StereoResult, calibration: Calibration, geometry: Geometry) -> PointCloud:
+def _limits(result: StereoResult, calibration: Calibration, geometry: Geometry) -> dict[str, Any]:
     depth = result.depth(calibration)
     median = float(np.median(depth[depth > 0])) if depth.any() else 0.0
-    return result.points(
-        calibration,
-        max_depth=geometry.max_depth or MAX_DEPTH_RATIO * median,
-        min_confidence=0.0 if result.confidence is None else geometry.min_confidence,
-    )
+    return {
+        "max_depth": geometry.max_depth or MAX_DEPTH_RATIO * median,
+        "min_confidence": 0.0 if result.confidence is None else geometry.min_confidence,
+    }
 
 
 def _thinned(cloud: PointCloud) -> PointCloud:
-    step = -(-len(cloud.points) // MAX_SHOWN_POINTS)
+    step = -(-len(cloud.points) // MAX_SHOWN_POINTS) or 1
     return PointCloud(cloud.points[::step], cloud.colours[::step])
 
 
-def _readings(result: StereoResult, calibration: Calibration | None) -> dict[str, Any]:
-    """Disparity and confidence in a PNG that a browser unpacks: no round trip per movement."""
+def preview(pair: StereoPair) -> dict[str, Any]:
+    """What `view.js` shows before a match: the left view."""
+    return {"left": _jpeg(pair.left_image)}
+
+
+def view(pair: StereoPair, result: StereoResult, guessed: bool) -> dict[str, Any]:
+    """What `view.js` shows of a result: pictures that a browser unpacks, and the geometry."""
+    calibration = _trusted(pair)
     levels = np.rint(np.where(result.valid, result.disparity, 0) * KITTI_SCALE)
     high, low = np.divmod(np.where(levels <= 65535, levels, 0), 256)
     confidence = 0 if result.confidence is None else np.rint(255 * result.confidence)
     channels = np.broadcast_arrays(confidence, low, high)
     _, png = cv2.imencode(".png", np.stack(channels, axis=-1).astype(np.uint8))
-    return {
-        "levels": "data:image/png;base64," + base64.b64encode(png.tobytes()).decode(),
+    shown: dict[str, Any] = {
+        "left": _jpeg(result.left),
+        "levels": _data_url("png", png.tobytes()),
         "scale": KITTI_SCALE,
         "confident": result.confidence is not None,
-        "depth": calibration and calibration.focal * calibration.baseline,
-        "doffs": calibration and calibration.doffs,
+        "geometry": None,
     }
+    if calibration is not None:
+        height, width = result.disparity.shape
+        cx, cy = calibration.principal_point(width, height)
+        shown["geometry"] = {
+            "focal": calibration.focal,
+            "depth": calibration.focal * calibration.baseline,
+            "doffs": calibration.doffs,
+            "cx": cx,
+            "cy": cy,
+            "guessed": guessed,
+        }
+    return shown
+
+
+def _jpeg(picture: Picture) -> str:
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    return _data_url("jpeg", cv2.imencode(".jpg", picture[..., ::-1], options)[1].tobytes())
+
+
+def _data_url(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"

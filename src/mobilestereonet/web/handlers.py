@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,9 +18,40 @@ from mobilestereonet.data.images import to_picture
 from mobilestereonet.data.sample import StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier, StereoMatcher
-from mobilestereonet.web.answer import CLOUD, Geometry, answer
-from mobilestereonet.web.sessions import Sessions
-from mobilestereonet.web.uploads import UploadLimits, admit
+from mobilestereonet.web.answer import (
+    CLOUD,
+    MESH,
+    answer,
+    prepare,
+    preview,
+    rectifier_of,
+    view,
+)
+from mobilestereonet.web.cameras import FILE, NUMBERS, Geometry
+from mobilestereonet.web.sessions import Session, Sessions
+from mobilestereonet.web.uploads import UploadLimits, admit_calibration, admit_pair, read_views
+
+Updates = dict[str, Any]
+"""New values of the page's parts, by their names in `PARTS`."""
+
+DOWNLOADS = ("picture", "depth", "blender", "everything")
+ERRORS = ("pair_error", "cameras_error", "match_error")
+NUMBERS_OF_CAMERAS = ("focal", "baseline", "doffs")
+PARTS = (
+    *("drop", "chosen", "left", "right", "view", "progress", "cancel", "facts", "tabs", "shape"),
+    *("metres", "source", *NUMBERS_OF_CAMERAS),
+    *DOWNLOADS,
+    *ERRORS,
+)
+"""What handlers change; where an event has nothing for a part, that stays."""
+
+SHAPES = {"Surface": MESH, "Points": CLOUD}
+"""Ways to show an answer in 3D, and their files."""
+
+MIN_CONFIDENCE = 0.5
+"""Of points and surfaces, where the visitor asks for no other."""
+
+_POLL_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -30,7 +62,7 @@ class PageConfig:
         models: Quality levels and names of models; the first is the default.
         engines: Names of the engines; the first is the default.
         matcher: Makes a matcher of a model's and an engine's name.
-        examples: Pairs with calibration.
+        examples: Pairs with calibration; the page opens with the result of the first.
         limits: Limits of uploads and visitors.
         rectifier: Has the geometry of pairs for which the visitor fills in none.
     """
@@ -43,15 +75,17 @@ class PageConfig:
     rectifier: Rectifier | None = None
 
 
+class FieldError(Exception):
+    """An `InputError` and the field of the page that it belongs to."""
+
+
 @contextmanager
-def clear_errors() -> Iterator[None]:
-    """Context in which an `InputError` becomes one line on the page."""
+def at(field: str) -> Iterator[None]:
+    """Context in which an `InputError` becomes a `FieldError` at one of `ERRORS`."""
     try:
         yield
     except InputError as error:
-        # gradio takes the message for HTML.
-        text = html.escape(str(error).replace("\n", " "))
-        raise gr.Error(text, print_exception=False) from error
+        raise FieldError(field, str(error).replace("\n", " ")) from error
 
 
 class Handlers:
@@ -67,77 +101,191 @@ class Handlers:
         self.config = config
         self.uploads = uploads
         self.sessions = Sessions(uploads / "sessions")
+        self.opening = Session(self.sessions.root)
         self._matcher = lru_cache(maxsize=4)(config.matcher)
+        # One after the other, however a match is asked for, and whether its visitor still waits.
+        self._worker = ThreadPoolExecutor(max_workers=1)
+        self._seconds_per_pixel: dict[tuple[str, str], float] = {}
 
-    def upload_handler(self, side: str) -> Callable[..., str]:
-        """Handler that takes an upload into the session, and gives its new path."""
+    def open(self) -> Updates:
+        """Match the first example; gives what the page shows before anybody did anything."""
+        updates = self._put_example(self.opening, 0)
+        numbers = [updates[name] for name in NUMBERS_OF_CAMERAS]
+        focal, baseline, doffs = numbers
+        geometry = Geometry(NUMBERS, None, focal, baseline, doffs, None, MIN_CONFIDENCE)
+        model, engine = self.config.models[0], self.config.engines[0]
+        for step in self._match(self.opening, model, engine, geometry):
+            updates |= step
+        return updates
 
-        def take(upload: dict[str, Any] | None, request: gr.Request) -> str:
-            with clear_errors():
-                path = Path((upload or {}).get("path") or "")
-                session = self.sessions[request.session_hash]
-                return str(admit(path, self.uploads, session, side, self.config.limits))
+    def _session(self, request: gr.Request, chosen: bool) -> Session:
+        """A visitor's session; who has chosen no pair yet has the one that the page opens with."""
+        session = self.sessions[request.session_hash]
+        if not chosen and not session.holds("left"):
+            self._put_example(session, 0)
+        return session
 
-        return take
+    def take_pair(
+        self, request: gr.Request, files: list[dict[str, Any]] | None
+    ) -> Iterator[Updates]:
+        """Take dropped pictures into the session; gives the left view if the pair is whole."""
+        session = self.sessions[request.session_hash]
+        paths = [Path(str((file or {}).get("path") or "")) for file in files or []]
+        with at("pair_error"):
+            admit_pair(paths, self.uploads, session, self.config.limits)
+            yield {**self._thumbnails(session), "drop": None}
+            yield self._preview(session)
 
-    def clear_handler(self, side: str) -> Callable[..., None]:
-        """Handler that deletes a picture."""
+    def take_calibration(
+        self, request: gr.Request, file: dict[str, Any] | None
+    ) -> Iterator[Updates]:
+        """Take a calibration file into the session."""
+        session = self.sessions[request.session_hash]
+        with at("cameras_error"):
+            admit_calibration(Path(str((file or {}).get("path") or "")), self.uploads, session)
+            Geometry(FILE, session.file("calibration")).rig((1, 1))
+        yield {"cameras_error": ""}
 
-        def drop(request: gr.Request) -> None:
-            self.sessions[request.session_hash].drop(side)
+    def swap(self, request: gr.Request, chosen: bool) -> Iterator[Updates]:
+        """Exchange the left and the right view."""
+        session = self._session(request, chosen)
+        session.swap("left", "right")
+        with at("pair_error"):
+            yield self._thumbnails(session)
+            yield self._preview(session)
 
-        return drop
+    def take_example(self, choice: gr.SelectData, request: gr.Request) -> Iterator[Updates]:
+        """Copy an example into the session, with its calibration."""
+        session = self.sessions[request.session_hash]
+        with at("pair_error"):
+            yield self._put_example(session, choice.index) | self._preview(session)
 
-    def take_example(self, choice: gr.SelectData, request: gr.Request) -> list[Any]:
-        """Copy an example into the session; gives its pictures' paths and its calibration."""
-        sample = self.config.examples[choice.index]
-        paths = []
-        with clear_errors():
-            session = self.sessions[request.session_hash]
-            for side, view in (("left", sample.left), ("right", sample.right)):
-                with session.replace(side) as folder:
-                    write_png(folder / f"{side}.png", to_picture(view))
-                paths.append(str(folder / f"{side}.png"))
+    def _put_example(self, session: Session, index: int) -> Updates:
+        sample = self.config.examples[index]
+        for side, picture in (("left", sample.left), ("right", sample.right)):
+            with session.replace(side) as folder:
+                write_png(folder / f"{side}.png", to_picture(picture))
         known = sample.calibration
         assert known is not None  # examples have one
-        return [*paths, *(round(value, 4) for value in (known.focal, known.baseline, known.doffs))]
+        return {
+            **self._thumbnails(session),
+            "metres": True,
+            "source": NUMBERS,
+            **{name: round(getattr(known, name), 4) for name in NUMBERS_OF_CAMERAS},
+        }
+
+    def _thumbnails(self, session: Session) -> Updates:
+        paths = {side: session.file(side) for side in ("left", "right")}
+        return {"chosen": True} | {
+            side: str(path) if path else None for side, path in paths.items()
+        }
+
+    def _preview(self, session: Session) -> Updates:
+        pair, _ = read_views(session, self.config.limits.pixels)
+        return {"pair_error": "", "view": preview(pair), "facts": ""}
 
     def match(
         self,
+        request: gr.Request,
+        chosen: bool,
         model: str,
         engine: str,
-        focal: float | None,
-        baseline: float | None,
-        doffs: float | None,
-        max_depth: float | None,
-        min_confidence: float,
-        request: gr.Request,
-        progress: gr.Progress = gr.Progress(),  # noqa: B008 (gradio finds it by its default)
-    ) -> list[Any]:
-        """Match the session's pictures; gives the values of the result components."""
-        with clear_errors():
-            geometry = Geometry(focal, baseline, doffs, max_depth, min_confidence)
-            progress(0.1, desc=f"Loading {model}")
-            matcher = self._matcher(model, engine)
-            progress(0.3, desc="Matching")
-            session = self.sessions[request.session_hash]
-            found = answer(session, matcher, geometry, self.config.rectifier)
-        notes = "".join(f"\n- {html.escape(note)}" for note in found.notes)
-        return [
-            found.summary + ("\n\n**Mind:**\n" + notes if notes else ""),
-            (str(found.left), str(found.disparity)),
-            found.readings,
-            found.confidence and str(found.confidence),
-            None,
-            gr.Tabs(selected="disparity"),
-            gr.File([str(path) for path in found.files], visible=True),
-        ]
+        metres: bool,
+        source: str,
+        *numbers: float | None,
+    ) -> Iterator[Updates]:
+        """Match the session's pair; ``numbers`` are those of `Geometry`, in their order."""
+        session = self._session(request, chosen)
+        asked = source if metres else None
+        focal, baseline, doffs, max_depth, min_confidence = numbers
+        geometry = Geometry(
+            asked,
+            session.file("calibration"),
+            focal,
+            baseline,
+            doffs,
+            max_depth,
+            min_confidence or 0.0,
+        )
+        yield from self._match(session, model, engine, geometry)
 
-    def cloud(self, request: gr.Request) -> str | None:
-        """The points of the session's answer."""
-        path = self.sessions[request.session_hash].file("answer", CLOUD)
+    def _match(
+        self, session: Session, model: str, engine: str, geometry: Geometry
+    ) -> Iterator[Updates]:
+        yield {
+            **dict.fromkeys(ERRORS, ""),
+            "progress": {"label": f"Loading {model}", "expected": None},
+            "cancel": gr.update(visible=True),
+            "tabs": gr.update(selected="depth"),
+            "shape": None,
+            **{name: _download(None) for name in DOWNLOADS},
+        }
+        with at("pair_error"):
+            pair, size = read_views(session, self.config.limits.pixels)
+        with at("cameras_error"):
+            rectifier = rectifier_of(geometry, size, pair) or self.config.rectifier
+        with at("match_error"):
+            matcher = self._matcher(model, engine)
+        with at("pair_error"):
+            pair = prepare(pair, size, rectifier, matcher)
+        key, pixels = (model, engine), pair.width * pair.height
+        seconds = self._seconds_per_pixel.get(key)
+        yield {"progress": {"label": "Matching", "expected": seconds and seconds * pixels}}
+        future = self._worker.submit(matcher.match, pair)
+        try:
+            while not wait([future], _POLL_SECONDS).done:
+                yield {}
+        finally:
+            future.cancel()  # if its visitor has cancelled it
+        with at("match_error"):
+            result = future.result()
+        yield {
+            "view": view(pair, result, geometry.guessed),
+            "progress": {"label": "Writing the files", "expected": None},
+        }
+        with at("match_error"):
+            found = answer(session, pair, result, geometry)
+        assert result.info is not None  # the matcher's results have one
+        self._seconds_per_pixel[key] = result.info.seconds / pixels
+        notes = "".join(f"\n- {html.escape(note)}" for note in found.notes)
+        yield {
+            **_at_rest(),
+            "facts": found.summary + ("\n\n**Mind:**\n" + notes if notes else ""),
+            **{name: _download(found.downloads.get(name)) for name in DOWNLOADS},
+        }
+
+    def cancel(self, request: gr.Request) -> Iterator[Updates]:
+        """Tell that the match was cancelled; what is being computed ends by itself, unseen."""
+        yield {**_at_rest(), "facts": "Cancelled."}
+
+    def shape(self, request: gr.Request, kind: str) -> str | None:
+        """File of the points or the surface of the session's answer."""
+        session = self.sessions[request.session_hash]
+        if not session.holds("answer"):
+            session = self.opening
+        path = session.file("answer", SHAPES.get(kind, CLOUD))
         return str(path) if path else None
 
     def leave(self, request: gr.Request) -> None:
         """Close the session of a visitor who has left the page."""
         self.sessions.close(request.session_hash)
+
+    def close(self) -> None:
+        """Close all sessions, after what they are writing."""
+        self.sessions.close_all()
+        self.opening.close()
+        self._worker.shutdown(cancel_futures=True)
+
+
+def failed(error: FieldError) -> Updates:
+    """What the page shows of an error: one line at its field."""
+    field, text = error.args
+    return {**_at_rest(), "drop": None, field: f"<p role='alert'>{html.escape(text)}</p>"}
+
+
+def _at_rest() -> Updates:
+    return {"progress": None, "cancel": gr.update(visible=False)}
+
+
+def _download(path: Path | None) -> Any:
+    return gr.update(value=str(path) if path else None, interactive=path is not None)

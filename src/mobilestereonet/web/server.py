@@ -177,7 +177,7 @@ def running(
             )
             yield address
         finally:
-            handlers.sessions.close_all()
+            handlers.close()
             page.close(verbose=False)
             route_utils.GradioUploadFile = upload
             if before is None:

@@ -63,10 +63,24 @@ class Session:
             if slot in self._slots:
                 shutil.rmtree(self._slots.pop(slot), ignore_errors=True)
 
+    def swap(self, first: str, second: str) -> None:
+        """Exchange what two slots hold."""
+        with self._lock:
+            for slot, held in zip(
+                (first, second), (self._slots.get(second), self._slots.get(first)), strict=True
+            ):
+                self._slots.pop(slot, None)
+                if held is not None:
+                    self._slots[slot] = held
+
     def file(self, slot: str, pattern: str = "*") -> Path | None:
         """The first file of a slot that matches; None if there is none."""
         with self._lock:
             return next(self._slots[slot].glob(pattern), None) if slot in self._slots else None
+
+    def holds(self, slot: str) -> bool:
+        """Whether a slot is filled."""
+        return slot in self._slots
 
     def close(self) -> None:
         """Delete everything, after what is being written."""

@@ -5,11 +5,12 @@ const FIELD_OF_VIEW = 60; // degrees, of photos whose focal length is not known
 
 const $ = (id) => document.getElementById(id);
 const photos = { left: null, right: null }; // ImageBitmap
-let settings, worker, shown, stream, busy = false, lastSeconds = 0;
+let settings, viewer, worker, shown, stream, busy = false, lastSeconds = 0;
 
 async function start() {
   await useServiceWorker();
   settings = await (await fetch("page.json")).json();
+  viewer = makeViewer($("viewer"), settings.colours);
   $("about").textContent =
     `${settings.about}; photos are scaled to fit ${settings.width} x ${settings.height} px.`;
   worker = new Worker("worker.js", { type: "module" });
@@ -125,39 +126,17 @@ function show(result) {
   shown = result;
   release(before);
   $("result").hidden = false;
-  const { width, height, disparity } = result;
-  const picture = $("picture");
-  [picture.width, picture.height] = [result.left.width, result.left.height];
-  picture.getContext("2d").drawImage(result.left, 0, 0);
-  const canvas = $("disparity");
-  [canvas.width, canvas.height] = [width, height];
-  const pixels = new ImageData(width, height);
-  const largest = disparity.slice().sort()[Math.floor(0.99 * (disparity.length - 1))];
-  for (let i = 0; i < disparity.length; i++) {
-    const level = Math.min(255, Math.floor((256 * disparity[i]) / Math.max(largest, 1e-6)));
-    const colour = parseInt(settings.colours.slice(6 * level, 6 * level + 6), 16);
-    pixels.data.set([colour >> 16, (colour >> 8) & 255, colour & 255, 255], 4 * i);
-  }
-  canvas.getContext("2d").putImageData(pixels, 0, 0);
+  viewer.show({ ...result, geometry: geometry() });
   dispatchEvent(new CustomEvent("matched", { detail: result })); // for scripts of one's own
   if (!$("cloud").hidden) showPoints();
 }
 
-// Focal length x baseline, and doffs, where they are filled in.
+// Of the filled-in numbers, as the viewer takes it; null where they are missing.
 function geometry() {
   const [focal, baseline, doffs] = ["focal", "baseline", "doffs"].map((id) => Number($(id).value));
-  return focal > 0 && baseline > 0 ? { focal, depth: focal * baseline, doffs } : null;
-}
-
-function read(event) {
-  if (!shown) return;
-  const { width, height, scale, disparity, confidence } = shown;
-  const pixel = pixelUnder(event, $("picture"), width, height);
-  if (!pixel) return;
-  const index = pixel.y * width + pixel.x;
-  const place = { x: Math.floor((pixel.x + 0.5) / scale), y: Math.floor((pixel.y + 0.5) / scale) };
-  const sure = confidence && confidence[index];
-  $("readout").textContent = describePixel(place, disparity[index], sure, geometry(), 1 / 256);
+  if (!(focal > 0 && baseline > 0)) return null;
+  const { width, height } = shown.left;
+  return { focal, depth: focal * baseline, doffs, cx: (width - 1) / 2, cy: (height - 1) / 2 };
 }
 
 async function showPoints() {
@@ -243,9 +222,8 @@ $("match").addEventListener("click", match);
 $("example").addEventListener("click", useExample);
 $("camera").addEventListener("click", useCamera);
 $("show-cloud").addEventListener("click", showPoints);
-$("slider").addEventListener("input", (event) => {
-  $("pictures").style.setProperty("--cut", `${event.target.value}%`);
-});
-for (const kind of ["pointermove", "pointerdown"]) $("pictures").addEventListener(kind, read);
+for (const id of ["focal", "baseline", "doffs"]) {
+  $(id).addEventListener("change", () => shown && viewer.show({ ...shown, geometry: geometry() }));
+}
 
 start().catch((error) => tell(`It cannot start: ${error.message}`, true));

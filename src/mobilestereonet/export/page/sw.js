@@ -1,7 +1,8 @@
 // Service worker: the page works offline, and every file comes with the headers that threads need.
 const CACHES = `msnet ${self.registration.scope} `;
 const CACHE = `${CACHES}@DIGEST@`; // of the exported files
-const PAGE = ["./", "icon.svg", "page.css", "page.js", "page.json", "reading.js", "worker.js", "cloud.js"];
+const PAGE = ["./", "icon.svg", "page.css", "page.js", "page.json", "reading.js", "viewer.css", "viewer.js"];
+PAGE.push("worker.js", "cloud.js");
 
 self.addEventListener("install", (event) => event.waitUntil(install()));
 self.addEventListener("activate", (event) => event.waitUntil(activate()));
