@@ -15,7 +15,9 @@ from mobilestereonet.atomic import (
     write_atomically,
     write_text,
 )
+from mobilestereonet.data.calibration import write_calibration
 from mobilestereonet.data.files import is_whole, read_bytes, write_npy, write_pfm, write_png
+from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
@@ -141,7 +143,10 @@ def test_commands_write_over_no_input(msnet, tmp_path, monkeypatch):
     folder.mkdir(parents=True)
     for name in ("a.png", "a_disparity.png"):
         write_png(folder / name, GREY)
-    (tmp_path / "calib.txt").write_text("mine")
+    calibration = Calibration(100.0, 0.1, cx=32.0, cy=16.0)
+    (tmp_path / "cameras").mkdir()
+    for path in (tmp_path / "calib.txt", tmp_path / "cameras/calib.txt"):
+        write_calibration(path, calibration, (64, 32))
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
     options = ("--model", "sgbm", "--focal", "100", "--baseline", "1")
     for words in (
@@ -153,6 +158,7 @@ def test_commands_write_over_no_input(msnet, tmp_path, monkeypatch):
         "batch 0/left 0/left/*.png -o 0/left",
         "demo -o .",
         "rectify left.png right.png --calib calib.txt -o .",
+        "rectify left.png right.png --calib cameras/calib.txt -o .",
     ):
         command = words.split()
         command += options[: {"demo": 2, "rectify": 0}.get(command[0], 6)]

@@ -81,8 +81,10 @@ def video(
 
     from mobilestereonet.atomic import make_folder
     from mobilestereonet.streams import MapFiles
+    from mobilestereonet.streams.open import refuse_stills
     from mobilestereonet.streams.video_files import check_video_file
 
+    refuse_stills(*filter(None, (left, right)))
     if output is not None:
         check_video_file(output)
     opened = MatchedStream.open(

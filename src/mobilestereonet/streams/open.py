@@ -64,11 +64,7 @@ def open_stream(
         return open_device(left)
     if left_topic is not None or right_topic is not None:
         raise InputError(f"{left}: topics are those of a bag (.mcap, .bag, .db3), not of this")
-    for source in filter(is_still, sources):
-        raise InputError(
-            f"{source}: a picture, not a video: `msnet predict` matches one pair, `msnet batch` "
-            "folders or patterns of pictures, which are a sequence here, too"
-        )
+    refuse_stills(*sources)
     for kind, is_kind in (("captures", is_capture), ("video files", _is_file)):
         if any(map(is_kind, sources)):
             if not all(map(is_kind, sources)):
@@ -78,6 +74,19 @@ def open_stream(
             return open_videos(sources, layout)
     pairs = joined_files(left) if right is None else pair_folders(left, right, pair_by)
     return Stream(read_pairs(pairs, fps, layout=layout), len(pairs))
+
+
+def refuse_stills(*sources: str) -> None:
+    """Refuse files of single pictures, which are no stream.
+
+    Raises:
+        InputError: If one of the sources is such a file.
+    """
+    for source in filter(is_still, sources):
+        raise InputError(
+            f"{source}: a picture, not a video: `msnet predict` matches one pair, `msnet batch` "
+            "folders or patterns of pictures, which are a sequence here, too"
+        )
 
 
 def is_still(source: str) -> bool:
