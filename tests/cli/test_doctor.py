@@ -152,6 +152,31 @@ def test_rectify_pictures_with_both_views(msnet, folder):
     assert "1 skipped: " in err and "319 px wide" in err
 
 
+def test_rectify_looks_how_one_picture_has_both_views(msnet, folder):
+    write_rig(folder / "stereo.yml")
+    rig = ("--rig", folder / "stereo.yml", "--unit", "mm")
+    paths = folder / "left.png", folder / "right.png"
+    views = [cv2.imread(str(path)) for path in paths]
+    assert msnet("rectify", *paths, *rig, "-o", folder / "a")[0] == 0
+    expected = [cv2.imread(str(folder / "a" / path.name)) for path in paths]
+    (folder / "stacked").mkdir()
+    cv2.imwrite(str(folder / "stacked/0.png"), np.vstack(views))
+    for source, options, told in (
+        ("stacked/0.png", (), "one view above the other: it was split so"),
+        ("stacked", ("--layout", "top-bottom"), ""),
+    ):
+        code, out, err = msnet("rectify", folder / source, *rig, *options, "-o", folder / "b")
+        assert code == 0 and told in err and err.count("\n") == bool(told)
+        found = [cv2.imread(path) for path in out.splitlines() if path.endswith("png")]
+        np.testing.assert_array_equal(found[:2], expected)
+    code, out, err = msnet("rectify", paths[0], *rig, "-o", folder / "c")
+    assert (code, out) == (2, "") and "halves are not two views" in err
+    assert not (folder / "c").exists()
+    side_by_side = ("--layout", "side-by-side")
+    _, _, err = msnet("rectify", folder / "left.png", *rig, *side_by_side, "-o", folder / "c")
+    assert "halves are" not in err and "outside of its pictures of 160x200" in err
+
+
 def test_doctor_looks_at_what_the_rig_rectifies(msnet, folder):
     write_rig(folder / "stereo.yml", T=np.array([-0.06, 0, 0]))
     views = folder / "left.png", folder / "right.png"

@@ -9,6 +9,7 @@ import pytest
 from extras import SHARED, needs_shared
 from mobilestereonet.data import Calibration, Rig, open_data_set
 from mobilestereonet.data.rig import Camera, CameraPair
+from mobilestereonet.data.rig.assumed import AssumedRig
 from mobilestereonet.data.rig.doubts import doubts
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier
@@ -97,8 +98,9 @@ def test_a_size_that_may_be_another_one_is_told(factor):
 
 
 def test_a_view_that_no_picture_has_is_refused_and_can_be_confirmed():
-    with pytest.raises(InputError, match=r"view of 165 degrees: .*--fisheye.*--fov DEGREES"):
+    with pytest.raises(InputError, match=r"view of 165 degrees: .*--fisheye.*predict.*--fov DEG"):
         pair(fx=42, fy=42)
+    assert AssumedRig.of_field_of_view(165, 0.1).geometry(SIZE).focal == pytest.approx(42, rel=0.01)
     with pytest.raises(InputError, match="view of 165 degrees"):
         Rig((Calibration(42, 0.1),), "rig").geometry(SIZE)
     assert pair(fx=42, fy=42, distortion=(0, 0, 0, 0), fisheye=True)

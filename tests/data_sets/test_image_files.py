@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 import warnings
 import zlib
 from contextlib import ExitStack, suppress
@@ -169,13 +170,14 @@ def test_levels_of_a_pnm_are_shares_of_its_maximum(tmp_path, kind, maximum):
     np.testing.assert_allclose(image[0, :, 0] / white, [0, 0.5, 1], atol=0.006)
 
 
-def tiff(levels, photometric, extra=()):
-    """An uncompressed little-endian TIFF."""
+def tiff(levels, photometric, extra=(), deflated=b""):
+    """A little-endian TIFF, uncompressed unless its deflated data is given."""
     levels = np.atleast_3d(levels)
     height, width, channels = levels.shape
     bits = levels.dtype.itemsize * 8
-    data = levels.tobytes()
-    tags = [(256, 4, 1, width), (257, 4, 1, height), (258, 3, channels, bits), (259, 3, 1, 1)]
+    data = deflated or levels.tobytes()
+    tags = [(256, 4, 1, width), (257, 4, 1, height), (258, 3, channels, bits)]
+    tags += [(259, 3, 1, 8 if deflated else 1)]
     tags += [(262, 3, 1, photometric), (273, 4, 1, 0), (277, 3, 1, channels), (278, 4, 1, height)]
     tags += [(279, 4, 1, len(data)), *extra]
     behind = 8 + 2 + 12 * len(tags) + 4
@@ -322,6 +324,19 @@ def test_a_zeroed_block_in_a_deflated_tiff(tmp_path, compression):
     path.write_bytes(content[:half] + bytes(60) + content[half + 60 :])
     with pytest.raises(InputError, match="not an image that is whole: its data is damaged"):
         read_image(path)
+
+
+def test_a_deflated_tiff_that_swells_is_refused_in_little_memory(tmp_path):
+    path = tmp_path / "a.tiff"
+    grey = SCENE[..., 0]
+    path.write_bytes(tiff(grey, 1, deflated=zlib.compress(grey.tobytes())))
+    np.testing.assert_array_equal(read_image(path)[..., 0], grey)
+    path.write_bytes(tiff(grey, 1, deflated=zlib.compress(bytes(40_000_000))))
+    tracemalloc.start()
+    with pytest.raises(InputError, match="its data is larger than the picture"):
+        read_image(path)
+    assert tracemalloc.get_traced_memory()[1] < 8_000_000
+    tracemalloc.stop()
 
 
 def test_the_callers_settings_stay(tmp_path):

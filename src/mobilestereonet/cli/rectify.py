@@ -15,12 +15,16 @@ from mobilestereonet.cli.calibration import RigFiles
 from mobilestereonet.cli.early import BAG_ENDINGS, existing_source
 from mobilestereonet.cli.options import new_output
 from mobilestereonet.cli.sinks import TopicOptions
+from mobilestereonet.cli.views import Layout, tell_findings
 from mobilestereonet.errors import InputError
 
 if TYPE_CHECKING:
     from mobilestereonet.data.images import Array
     from mobilestereonet.data.sample import Calibration
+    from mobilestereonet.inference.finding import Finding
+    from mobilestereonet.inference.first_look import ViewOptions
     from mobilestereonet.inference.rectify import Rectifier
+    from mobilestereonet.streams.pairs import PairFiles
     from mobilestereonet.streams.stereo_bag import BagPair, StereoBag
 
     _Writer: TypeAlias = Callable[["_Raw", Sequence[Array], Calibration], None]
@@ -31,7 +35,7 @@ def rectify(
         str,
         typer.Argument(
             help="Left view as the camera gave it: an image, a folder or pattern of images, or a "
-            "video; alone, one with both views side by side, an MPO or a bag (--left, --right).",
+            "video; alone, one with both views (an MPO, or see --layout) or a bag (--left, --right).",
             callback=existing_source,
         ),
     ],
@@ -42,6 +46,7 @@ def rectify(
     output: Annotated[
         Path, new_output("rectified", "Folder to write to; of a bag also .mcap or .bag.")
     ],
+    layout: Layout = None,
     files: RigFiles,
     topics: TopicOptions,
     whole: Annotated[
@@ -67,7 +72,7 @@ def rectify(
     failed, calibration = 0, None
     with ExitStack() as stack:
         write = _bag_writer(output, bag, stack) if bag and to_bag else _folder_writer(output)
-        for raw in _pairs(left, right) if bag is None else _bag_pairs(bag):
+        for raw in _pairs(left, right, layout) if bag is None else _bag_pairs(bag):
             try:
                 if raw.views is None:
                     raise InputError(raw.problem)
@@ -182,36 +187,61 @@ def _bag_pairs(bag: StereoBag) -> Iterator[_Raw]:
         yield _Raw(f"{pair.index:06d}", pair.pictures, pair.problem, pair)
 
 
-def _pairs(left: str, right: str | None) -> Iterator[_Raw]:
+def _pairs(left: str, right: str | None, layout: str | None) -> Iterator[_Raw]:
     """Pairs of images, folders, videos or cameras."""
-    from mobilestereonet.atomic import note_inputs
     from mobilestereonet.inference.first_look import ViewOptions
     from mobilestereonet.streams import find_pairs, look_at_stream, open_stream
     from mobilestereonet.streams.open import is_still
+    from mobilestereonet.streams.pairs import PairFiles
 
     sources = [source for source in (left, right) if source is not None]
+    # Which halves are views is found out; the rig tells the rest.
+    options = ViewOptions(layout, order="left-right", rotate=0)
     if all(map(is_still, sources)):
-        yield _Raw("", _read(Path(left), None if right is None else Path(right)))
+        yield from _image_pairs(
+            [PairFiles("", Path(left), None if right is None else Path(right))], options
+        )
     elif not any(Path(source).is_file() or "://" in source for source in sources):
-        pairs = find_pairs(left, right)
-        note_inputs(*(path for pair in pairs for path in pair.files))
-        for pair in pairs:
-            try:
-                yield _Raw(pair.name, _read(pair.left, pair.right))
-            except (InputError, OSError) as error:
-                yield _Raw(pair.name, None, str(error))
+        yield from _image_pairs(find_pairs(left, right), options)
     else:
-        stream = open_stream(left, right)
-        if right is None:  # which halves are views is found out; the rig tells the rest
-            _, stream = look_at_stream(stream, ViewOptions(order="left-right", rotate=0))
+        stream = open_stream(left, right, layout=layout)
+        if right is None:
+            findings, stream = look_at_stream(stream, options)
+            tell_findings(_of_layout(findings))
         for frame in stream.frames:
             seen = frame.pair
             views = None if seen is None else (seen.left_image, seen.right_image)
             yield _Raw(frame.name, views, frame.problem)
 
 
-def _read(left: Path, right: Path | None) -> tuple[Array, Array]:
+def _image_pairs(pairs: Sequence[PairFiles], options: ViewOptions) -> Iterator[_Raw]:
+    """Pairs of image files; those that have both views are looked at first."""
+    from mobilestereonet.atomic import note_inputs
+    from mobilestereonet.streams.look import look_at_pairs
+
+    note_inputs(*(path for pair in pairs for path in pair.files))
+    stacked = False
+    if any(pair.right is None for pair in pairs):
+        findings, arrangement = look_at_pairs(pairs, options)
+        tell_findings(_of_layout(findings))
+        stacked = arrangement.top_bottom
+    for pair in pairs:
+        try:
+            yield _Raw(pair.name, _read(pair.left, pair.right, stacked))
+        except (InputError, OSError) as error:
+            if not pair.name:
+                raise
+            yield _Raw(pair.name, None, str(error))
+
+
+def _of_layout(findings: Sequence[Finding]) -> list[Finding]:
+    return [finding for finding in findings if finding.check == "layout"]
+
+
+def _read(left: Path, right: Path | None, stacked: bool) -> tuple[Array, Array]:
     """Both views, with the bits of their files; without a right one the left file has both."""
+    import numpy as np
+
     from mobilestereonet.data import read_image
     from mobilestereonet.data.image_files import read_frames
     from mobilestereonet.inference.pair import layout_of
@@ -219,8 +249,8 @@ def _read(left: Path, right: Path | None) -> tuple[Array, Array]:
     if right is not None:
         return read_image(left), read_image(right)
     frames = read_frames(left)
-    if len(frames) == 2:
-        return frames[0], frames[1]
-    width = frames[0].shape[1]
-    layout_of((width, frames[0].shape[0]), None, str(left))
-    return frames[0][:, : width // 2], frames[0][:, width // 2 :]
+    if len(frames) == 1:
+        height, width = frames[0].shape[:2]
+        layout_of((width, height), "top-bottom" if stacked else None, str(left))
+        frames = np.split(frames[0], 2, axis=0 if stacked else 1)
+    return frames[0], frames[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -17,30 +17,33 @@ if TYPE_CHECKING:
     from mobilestereonet.inference.first_look import ViewOptions
 
 
+Layout: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Of one picture with both views: side-by-side or top-bottom. Default: what a look at "
+        "it says.",
+        callback=one_of(LAYOUTS),
+    ),
+]
+
+
 @dataclass(frozen=True)
 class LayoutFlags:
     """Options that say how the views lie, where the first look errs."""
 
-    layout: Annotated[
-        str | None,
-        typer.Option(
-            help="Of one picture with both views: side-by-side or top-bottom. Default: what a look "
-            "at it says, as for the two options that follow.",
-            callback=one_of(LAYOUTS),
-        ),
-    ] = None
+    layout: Layout = None
     order: Annotated[
         str | None,
         typer.Option(
             help="Order of the views (files, or halves from the left or from above): left-right or "
-            "right-left.",
+            "right-left. Default: likewise.",
             callback=one_of(ORDERS),
         ),
     ] = None
     rotate: Annotated[
         int | None,
         typer.Option(
-            help="Turn both views clockwise: 0, 90, 180 or 270 degrees.",
+            help="Turn both views clockwise: 0, 90, 180 or 270 degrees. Default: likewise.",
             callback=one_of(ROTATIONS),
         ),
     ] = None
@@ -79,9 +82,7 @@ class ViewFlags(LayoutFlags):
         """
         from mobilestereonet.inference.first_look import problems
 
-        for finding in findings:
-            if finding.level not in ("good", "unknown"):
-                print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)
+        tell_findings(findings)
         wrong = problems(findings)
         if metric and wrong and not self.force:
             raise InputError(
@@ -89,3 +90,10 @@ class ViewFlags(LayoutFlags):
                 "--force"
             )
         return self.force or not wrong
+
+
+def tell_findings(findings: Iterable[Finding]) -> None:
+    """Print what is not as it should be."""
+    for finding in findings:
+        if finding.level not in ("good", "unknown"):
+            print(f"msnet: {finding} (see `msnet doctor`)", file=sys.stderr)

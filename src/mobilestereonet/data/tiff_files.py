@@ -13,7 +13,14 @@ _DEFLATED = (8, 32946)
 _PARTS = ((273, 279), (324, 325))
 """Tags of places and sizes: of strips, and of tiles."""
 
-_MAX_BYTES_PER_PIXEL = 32
+_BITS_TAG = 258
+_SAMPLES_TAG = 277
+
+_SMALLEST_PIXELS = 1 << 20
+"""Pixels that the tiles of any picture may have: they may be larger than the picture."""
+
+_STEP_BYTES = 1 << 20
+"""Bytes that are inflated at once."""
 
 
 def check_tiff(content: bytes, tags: Mapping[int, Any], pixels: int) -> None:
@@ -25,17 +32,28 @@ def check_tiff(content: bytes, tags: Mapping[int, Any], pixels: int) -> None:
         pixels: Number of pixels of the picture.
 
     Raises:
-        ValueError: If one is damaged.
+        ValueError: If one is damaged, or they hold far more than the picture.
     """
     if tags.get(_COMPRESSION_TAG) not in _DEFLATED:
         return
-    most = max(pixels, 1 << 20) * _MAX_BYTES_PER_PIXEL
+    bits = max(tags.get(_BITS_TAG, (1,))) * tags.get(_SAMPLES_TAG, 1)
+    left = max(2 * pixels, _SMALLEST_PIXELS) * bits // 8
     for places, sizes in _PARTS:
         for place, size in zip(tags.get(places, ()), tags.get(sizes, ()), strict=False):
-            reader = zlib.decompressobj()
-            try:
-                reader.decompress(content[place : place + size], most)
-            except zlib.error as error:
-                raise ValueError(f"its data is damaged ({error})") from None
-            if not reader.eof:
-                raise ValueError("a part of its data is missing")
+            left -= _inflated_size(content[place : place + size], left)
+
+
+def _inflated_size(part: bytes, most: int) -> int:
+    """Bytes that a strip or tile inflates to, of which few are held at a time."""
+    reader, size = zlib.decompressobj(), 0
+    while not reader.eof:
+        try:
+            step = len(reader.decompress(part, _STEP_BYTES))
+        except zlib.error as error:
+            raise ValueError(f"its data is damaged ({error})") from None
+        part, size = reader.unconsumed_tail, size + step
+        if not (step or reader.eof):
+            raise ValueError("a part of its data is missing")
+        if size > most:
+            raise ValueError("its data is larger than the picture")
+    return size

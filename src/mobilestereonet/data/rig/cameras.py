@@ -246,7 +246,8 @@ def check_focal_lengths(matrix: Matrix, size: Size, side: str, *, fisheye: bool 
         raise InputError(
             f"the {side} camera's focal length of {fx:g} px gives pictures of {width}x{height} a "
             f"view of {view:.0f} degrees: is it of pictures of another size, or of a fisheye lens "
-            "(--fisheye)? --fov DEGREES --baseline METRES confirms so wide a view"
+            "(--fisheye)? With predict, batch, video and live, --fov DEGREES --baseline METRES in "
+            "place of the file confirms so wide a view"
         )
 
 
