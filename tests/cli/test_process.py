@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mobilestereonet.cli import process, progress
-from mobilestereonet.cli.engine import cpu_threads
+from mobilestereonet.cli.engine import busy_threads, cpu_threads
 from mobilestereonet.data.files import write_png
 from mobilestereonet.timing import long_work
 
@@ -97,17 +97,26 @@ def test_the_engines_report_to_nobody():
     assert os.environ["ORT_DISABLE_TELEMETRY"] == "1"
 
 
-def test_a_busy_machine_is_told(monkeypatch, capsys):
+@pytest.fixture
+def unmeasured():
+    busy_threads.cache_clear()
+    yield
+    busy_threads.cache_clear()
+
+
+def test_a_busy_machine_is_told_once(monkeypatch, capsys, unmeasured):
     import torch
 
     monkeypatch.setattr("mobilestereonet.engines.threads.fitting_threads", lambda: 1)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     assert cpu_threads(None, "cpu") == 1
+    assert cpu_threads(None, "cpu") == 1  # of another matcher
     assert capsys.readouterr().err == (
         "msnet: machine busy, using 1 thread (--threads 2 uses all)\n"
     )
     assert cpu_threads(2, "cpu") == 2
     assert cpu_threads(None, "cuda:0") is None
+    busy_threads.cache_clear()
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     assert cpu_threads(None, "cpu") is None
     assert capsys.readouterr().err == ""

@@ -302,6 +302,19 @@ def test_a_harmless_warning_hides_no_damage(tmp_path, form):
             read_image(path)
 
 
+@pytest.mark.parametrize("subsampling", ["4:2:0", "4:2:2"])
+def test_a_jpeg_of_print_colours_is_read_and_checked_as_far_as_can_be(tmp_path, subsampling):
+    path, stream = tmp_path / "a.jpg", io.BytesIO()
+    Image.fromarray(SCENE).convert("CMYK").save(stream, "JPEG", subsampling=subsampling)
+    whole = stream.getvalue()
+    path.write_bytes(whole)
+    with pytest.warns(UserWarning, match=r"a\.jpg: .* damage within it is not noticed"):
+        assert np.abs(read_image(path).astype(int) - SCENE).mean() < 8
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="not an image that is whole: .*truncated"):
+        read_image(path)
+
+
 def test_long_texts_in_a_png_are_no_damage(tmp_path):
     texts = PngImagePlugin.PngInfo()
     texts.add_text("parameters", "a" * 2_000_000, zip=True)

@@ -215,6 +215,9 @@ def test_compare_refuses_what_is_no_run(tmp_path, pairs, msnet):
     _run(tmp_path / "a", 0)
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     (tmp_path / "b/weights.safetensors").unlink()
+    shutil.copytree(tmp_path / "a", tmp_path / "own")
+    recipe = tmp_path / "own/recipe.json"
+    recipe.write_text(recipe.read_text().replace("msnet2d", f"{tmp_path / 'own/net.py'}:Net"))
     (tmp_path / "notes.txt").touch()
     (tmp_path / "net.onnx").touch()
     for sources, words in (
@@ -223,6 +226,8 @@ def test_compare_refuses_what_is_no_run(tmp_path, pairs, msnet):
         (("notes.txt",), "no run among them"),
         (("a", "net.onnx"), f"onnx:{tmp_path / 'net.onnx'}"),
         (("a", "msnet4d"), "did you mean msnet"),
+        (("a", "absent.safetensors"), "RUN absent.safetensors: no such file"),
+        (("own",), "name it by --model of `msnet train` or, with --weights, `msnet evaluate`"),
     ):
         known = [tmp_path / s if (tmp_path / s).exists() else s for s in sources]
         code, _, told = msnet("compare", *known, *pairs)

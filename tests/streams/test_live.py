@@ -159,6 +159,8 @@ def test_bad_calls_end_with_one_line(msnet, sequence):
     for words, message in (
         ((), "nothing to show: give --show, --show browser, --rerun spawn or --bag FILE"),
         (("--confidence", "--bag", "a.mcap"), "--confidence needs --show"),
+        (("--show", "windows"), "--show windows: did you mean window"),
+        (("--show", "firefox"), "--show firefox: there are window, browser"),
         ((*page, "--max-depth", 4), "--max-depth needs --rig FILE, or --focal"),
         ((*page, "--hz", 5), "--hz 5 chooses the network"),
         ((*page, "--known", "1,1=2"), "--known is for `msnet predict`"),

@@ -34,7 +34,7 @@ def compare(
             metavar="RUN...",
             help="Folders of `msnet train` or `msnet ablate`, and any models: names, weights "
             "files, sgbm, onnx:FILE.",
-            callback=each(lambda option, source: check_trained(source, None)),
+            callback=each(lambda option, source: check_trained(source, None, "RUN")),
         ),
     ],
     scoring: ScoringOptions,

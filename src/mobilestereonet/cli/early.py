@@ -270,24 +270,25 @@ def trained_names() -> list[str]:
     return sorted({"sgbm", *versions, *(version.partition(".")[0] for version in versions)})
 
 
-def check_trained(model: str | None, weights: Path | None) -> None:
+def check_trained(model: str | None, weights: Path | None, option: str = "--model") -> None:
     """Check the name of a network that must have weights, as far as it can be without PyTorch.
 
     Args:
         model: Value of ``--model``.
         weights: Value of ``--weights``.
+        option: What messages call the first one.
 
     Raises:
         FileNotFoundError: If it names a file that is not there.
         InputError: If it names no network, or one without weights in the package.
     """
-    if model is None or _is_users_class("--model", model):
+    if model is None or _is_users_class(option, model):
         return
     path = model.removeprefix("onnx:").partition(",")[0]  # onnx:FILE,option=value
     if model.startswith("onnx:") and not Path(path).is_file():
-        raise FileNotFoundError(f"--model {model}: there is no file {path}")
+        raise FileNotFoundError(f"{option} {model}: there is no file {path}")
     if Path(path).suffix in WEIGHTS_ENDINGS and not Path(path).is_file():
-        raise FileNotFoundError(f"--model {model}: no such file")
+        raise FileNotFoundError(f"{option} {model}: no such file")
     if path != model or "/" in model or Path(model).exists():
         return  # an ONNX file, or what a file, a folder or the hub holds
     if weights is not None:

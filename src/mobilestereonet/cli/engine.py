@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -164,6 +165,12 @@ def cpu_threads(asked: int | None, device: str) -> int | None:
 
     if asked is not None or (device if device != AUTO else torch_device(AUTO).type) != "cpu":
         return asked
+    return busy_threads()
+
+
+@cache
+def busy_threads() -> int | None:
+    """Threads that fit a busy machine, measured and told once in a process; None if all do."""
     import torch
 
     from mobilestereonet.engines.threads import fitting_threads

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,9 +35,14 @@ class LiveCommand(TyperCommand):
         words = []
         for word, following in zip(args, [*args[1:], ""], strict=False):
             words += [word]
-            if word == _SHOW and following not in _SCREENS:
+            if word == _SHOW and not _names_screen(following):
                 words += [_SCREENS[0]]
         return super().parse_args(ctx, words)
+
+
+def _names_screen(word: str) -> bool:
+    """Whether a word is a screen, perhaps a misspelt one, and not a source."""
+    return word in _SCREENS or (word.isalpha() and not Path(word).exists())
 
 
 def live(

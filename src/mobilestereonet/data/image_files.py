@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -170,12 +171,14 @@ def _decode(path: str | Path, content: bytes) -> _Stored:
     orientation = _orientation(image.getexif)
     if image.format == "TIFF":
         return _Stored(_decode_tiff(path, content, image), orientation, applied=True)
-    if image.format in ("JPEG", "MPO"):
-        with _damage_reported(path):
-            check_jpeg(content)
-    else:
-        with _damage_reported(path):
-            image.load()
+    is_jpeg = image.format in ("JPEG", "MPO")
+    with _damage_reported(path):
+        checked = is_jpeg and check_jpeg(content)
+        if not checked:
+            image.load()  # of a JPEG it tells whether it is cut, no more
+    if is_jpeg and not checked:
+        text = f"a JPEG of {image.mode} with subsampled colours: damage within it is not noticed"
+        warnings.warn(f"{path}: {text}", stacklevel=2)
     return _Stored(_decode_by_opencv(path, content), orientation)
 
 

@@ -18,6 +18,9 @@ _SEQUENTIAL = (b"\xc0", b"\xc1")
 _NOTES = tuple(bytes([marker]) for marker in (*range(0xE0, 0xF0), 0xFE))
 """Markers of segments that do not hold data of the picture: APP0 to APP15, and comments."""
 
+_UNKNOWN_SUBSAMPLING = "Could not determine subsampling"
+"""Error of TurboJPEG, which libjpeg does not have."""
+
 _FILLING = re.compile(r"(\d+) extraneous bytes before marker 0xd9")
 """Warning of bytes behind the data: zeros by some cameras, or data that a hole has shifted."""
 
@@ -25,8 +28,12 @@ _ENTRIES_TAG = 0xB002
 """Of the MP format: attribute, size and place of each picture."""
 
 
-def check_jpeg(content: bytes) -> None:
+def check_jpeg(content: bytes) -> bool:
     """Check that a JPEG has all its data, which OpenCV fills with grey where it has not.
+
+    Returns:
+        Whether it could be checked: not if its colours are subsampled as TurboJPEG knows it not,
+        such as those of CMYK.
 
     Raises:
         ValueError: If parts of it are missing or damaged.
@@ -34,8 +41,11 @@ def check_jpeg(content: bytes) -> None:
     try:
         simplejpeg.decode_jpeg(_without_notes(content), "GRAY", min_factor=8, strict=True)
     except ValueError as error:
+        if _UNKNOWN_SUBSAMPLING in str(error):
+            return False
         if not _is_harmless(str(error), content):
             raise
+    return True
 
 
 def cut_frames(image: Any, content: bytes) -> list[bytes]:

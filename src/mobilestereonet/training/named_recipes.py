@@ -101,7 +101,7 @@ def read_recipe(path: Path, *, trusted: Collection[str] = ()) -> Recipe:
 
 def _refuse_code(record: dict[str, Any], path: Path, trusted: Collection[str]) -> None:
     known = {absolute_reference(reference) for reference in trusted}
-    for name, option in (("model", "--model"), ("loss", "--set loss=")):
+    for name, option in _NAMED_BY.items():
         reference = absolute_reference(str(record.get(name)))
         file = Path(reference.rpartition(":")[0])
         is_beside = file.suffix == ".py" and path.parent.resolve() in file.parents
@@ -111,6 +111,12 @@ def _refuse_code(record: dict[str, Any], path: Path, trusted: Collection[str]) -
                 f"unasked: if you trust it, name it by {option}"
             )
 
+
+_NAMED_BY = {
+    "model": "--model of `msnet train` or, with --weights, `msnet evaluate`",
+    "loss": "--set loss= of `msnet train`",
+}
+"""Where users name code of their own: what a recipe calls it, and the option."""
 
 _NET_VALUES = {"max_disparity": 192, "estimator": "mean", "coarse_pass": False}
 """Values of the network that recipes of version 0.1.0 held themselves, and their defaults."""
