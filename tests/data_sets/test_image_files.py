@@ -311,7 +311,7 @@ def test_a_jpeg_of_print_colours_is_read_and_checked_as_far_as_can_be(tmp_path, 
     with pytest.warns(UserWarning, match=r"a\.jpg: .* damage within it is not noticed"):
         assert np.abs(read_image(path).astype(int) - SCENE).mean() < 8
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="not an image that is whole: .*truncated"):
+    with pytest.raises(InputError, match=r"not an image that is whole: .*truncated"):
         read_image(path)
 
 

@@ -35,7 +35,7 @@ def rectify(
         str,
         typer.Argument(
             help="Left view as the camera gave it: an image, a folder or pattern of images, or a "
-            "video; alone, one with both views (an MPO, or see --layout) or a bag (--left, --right).",
+            "video; alone, one with both views (MPO, or see --layout) or a bag (--left, --right).",
             callback=existing_source,
         ),
     ],
