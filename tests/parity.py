@@ -1,5 +1,6 @@
 """Parity with the authors' networks: weights and pairs by rule, and what the authors' code gave."""
 
+import functools
 import zlib
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def pair(seed, height, width):
     return torch.from_numpy(views.astype(np.float32))
 
 
+@functools.cache
 def authors_state(name):
     network = MODELS[name]
     return fill(

@@ -8,6 +8,7 @@ and, for an unknown name, the likeliest one meant.
 from __future__ import annotations
 
 import difflib
+import functools
 import json
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -274,7 +275,7 @@ class _Builder:
         raise InputError(f"{name} must be {_in_words(hint)}, got {shorten(repr(value))}")
 
     def _dataclass(self, kind: type[Any], values: Mapping[str, Any], name: str, path: str) -> Any:
-        hints, parts = get_type_hints(kind), _fields(kind)
+        hints, parts = _hints(cast(Any, kind)), _fields(kind)
         for key in values:
             if key not in parts:
                 near = self.hint(key, parts)
@@ -339,13 +340,18 @@ def _fields(kind: Any) -> dict[str, Field[Any]]:
     return {part.name: part for part in fields(kind) if part.init}
 
 
+@functools.cache
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
 def _is_required(part: Field[Any]) -> bool:
     return part.default is MISSING and part.default_factory is MISSING
 
 
 def _dotted_names(kind: Any, prefix: str = "") -> list[str]:
     """Names of a dataclass's values and of its parts', as ``--set`` takes them."""
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     names: list[str] = []
     for name in _fields(kind):
         nested = is_dataclass(hints[name])

@@ -301,7 +301,7 @@ def test_any_network_is_exported_at_one_size(name, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["deeppruner-best", "deeppruner-fast"])
+@pytest.mark.parametrize("name", [pytest.param("deeppruner-best", marks=EVERY), "deeppruner-fast"])
 def test_the_particles_of_deeppruner_are_in_the_file(name, tmp_path):
     needs("onnx")
     torch.manual_seed(0)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from mobilestereonet.nets import model_config
+from mobilestereonet.nets import model_info
 from mobilestereonet.weights.names import substituted
 
 _PREFIXES = (
@@ -202,5 +202,5 @@ def released_name(network: str, name: str) -> str:
         name: Our name of the tensor.
     """
     if network not in _RULES:
-        return authors_key(name, model_config(network))
+        return authors_key(name, model_info(network).config)
     return substituted(name, _RULES[network])
