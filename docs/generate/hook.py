@@ -26,6 +26,9 @@ def on_config(config: Any) -> None:
 def on_files(files: Files, config: Any) -> Files:
     """Add all generated pages."""
     for path, content in PAGES.items():
+        stub = files.get_file_from_path(path)  # what a checkout shows in the page's place
+        if stub is not None:
+            files.remove(stub)
         files.append(File.generated(config, path, content=content))
     return files
 

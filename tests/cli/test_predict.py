@@ -12,6 +12,7 @@ import torch
 from safetensors.torch import save_file
 from skimage.data import stereo_motorcycle
 
+from extras import need_extra
 from mobilestereonet import StereoMatcher, __version__, create_model, save_weights, versions
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.engines.torch import TorchEngine
@@ -223,6 +224,20 @@ def test_the_demos_pair_is_there_for_other_commands(msnet, tmp_path):
     known = np.isfinite(disparity)
     expected = 994.978 * 0.193001 / (disparity[known] + 31.086)
     np.testing.assert_allclose(np.load(depth)[known], expected, rtol=1e-4)
+
+
+def test_the_demos_video_is_one_of_a_calibrated_camera(msnet, tmp_path):
+    need_extra("av")
+    code, out, _ = msnet("demo", "-o", tmp_path, "--model", "sgbm", "--video")
+    assert code == 0
+    video, calibration = (tmp_path / f"side_by_side.{ending}" for ending in ("mp4", "txt"))
+    assert f"Video and its calibration {video}, {calibration}\n" in out
+    matcher = StereoMatcher.from_pretrained("sgbm")
+    result = next(iter(matcher.stream(video, rig=calibration)))
+    whole = np.load(tmp_path / "motorcycle_disparity.npy")[74 : 74 + 352, :480]
+    known = np.isfinite(whole) & (result.depth() > 0)
+    depth = 994.978 * 0.193001 / (whole + 31.086)
+    assert np.median(np.abs(result.depth() / depth - 1)[known]) < 0.01
 
 
 def test_values_of_the_network_are_set(msnet, folder, weights):

@@ -1,5 +1,7 @@
 """The files that the pages' commands take."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -108,8 +110,10 @@ def shared_files(tmp_path_factory):
         for path in (f"{name}.png", f"raw_{name}.png", f"my_pairs/{name}/000.png"):
             assert cv2.imwrite(str(folder / path), view)
         assert cv2.imwrite(str(demo / f"{name}.png"), view)
-    write_calibration(demo / "calib.txt", Calibration(FOCAL, BASELINE), (WIDTH, HEIGHT))
+    for name in ("calib.txt", "side_by_side.txt"):
+        write_calibration(demo / name, Calibration(FOCAL, BASELINE), (WIDTH, HEIGHT))
     _write_sequences(folder, left, right)
+    shutil.copy(folder / "side_by_side.mp4", demo)
     scale = WIDTH / truth.shape[1]
     small = cv2.resize(truth * scale, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
     write_pfm(demo / "truth.pfm", small.astype(np.float32))
