@@ -9,6 +9,7 @@ from mobilestereonet.errors import InputError
 from mobilestereonet.plots import (
     colour_disparity,
     contact_sheet,
+    depth_picture,
     error_map,
     side_by_side,
 )
@@ -37,6 +38,24 @@ def test_a_wild_value_does_not_take_the_range():
     wild[0, 0] = 1e6
     plain = colour_disparity(disparity).astype(int)
     assert np.abs(colour_disparity(wild).astype(int) - plain)[1:].max() < 12
+
+
+def test_depth_is_coloured_as_its_disparity_beside_a_bar():
+    depth = np.repeat(np.linspace(1, 9, 300)[:, None], 40, axis=1)
+    depth[:3] = 0
+    picture = depth_picture(depth)
+    near = 1 / np.percentile(1 / depth[3:], 99)
+    disparity = colour_disparity(near / np.where(depth > 0, depth, np.inf), 1, depth > 0)
+    np.testing.assert_allclose(picture[:, :40], disparity, atol=8)  # rounding
+    assert (picture[:3, :40] == 0).all()
+    bar = picture[:, 40 + 4 :]
+    # Marks stand where the bar has the colour of their distance: 2 m is half of the nearest's.
+    marked = np.flatnonzero((bar[:, 20:] < 128).any(axis=(1, 2)))
+    row = round((1 - near / 2) * 299)
+    assert row in marked and len(marked) > 30
+    there = picture[np.abs(depth[:, 0] - 2).argmin(), 0]
+    np.testing.assert_allclose(bar[row, 0], there, atol=8)
+    assert depth_picture(np.zeros((9, 9))).shape[0] == 9
 
 
 def test_error_map_has_kittis_steps():

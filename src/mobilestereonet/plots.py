@@ -40,6 +40,7 @@ _ERROR_COLOURS = np.array(
     ],
     dtype=np.uint8,
 )
+_NICE_DISTANCES_M = np.outer(10.0 ** np.arange(-2, 5), (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)).ravel()
 _PANEL_GAP_PX = 4
 _TITLE_HEIGHT_PX = 24
 
@@ -69,6 +70,34 @@ def colour_disparity(
     # The same table as matplotlib's turbo, without waiting for its import.
     colours = cv2.applyColorMap(levels.astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
     return np.where(known[..., None], colours, 0).astype(np.uint8)
+
+
+def depth_picture(depth: MapLike) -> Picture:
+    """Colour depth as its disparity is, red near and blue far, beside a bar with marks in metres.
+
+    Args:
+        depth: (H, W) in metres, 0 where it is unknown (black).
+
+    Returns:
+        (H, W + the bar's width, 3) uint8.
+    """
+    metres = _array(depth).astype(np.float32)
+    known = metres > 0
+    inverse = np.where(known, 1 / np.where(known, metres, 1), 0)
+    largest = float(np.percentile(inverse[known], 99)) if known.any() else 1.0
+    height, size = len(metres), max(0.45, len(metres) / 1200)
+    bar = np.full((height, round(170 * size), 3), 255, np.uint8)
+    ramp = np.repeat(np.linspace(largest, 0, height)[:, None], round(30 * size), axis=1)
+    bar[:, : ramp.shape[1]] = colour_disparity(ramp, largest)
+    line_height, free = round(36 * size), height
+    for distance in (_NICE_DISTANCES_M[1 / largest <= _NICE_DISTANCES_M])[::-1]:
+        row = round((1 - 1 / (distance * largest)) * (height - 1))
+        if line_height <= row <= free - line_height:
+            place = ramp.shape[1] + 4, row + line_height // 4
+            text = f"{distance:g} m"
+            cv2.putText(bar, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
+            free = row
+    return side_by_side([colour_disparity(inverse, largest, known), bar])
 
 
 def error_map(

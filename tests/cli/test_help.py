@@ -44,6 +44,8 @@ def test_every_help_fits_80_columns_and_ends_in_an_example(msnet, narrow):
         assert max(map(len, text.splitlines())) <= 80, name
         assert command.epilog in text, name  # whole, on one line
         assert "…" not in text, name
+        flags = [line for line in text.splitlines() if "<bool>" in line]
+        assert all("--help" in line for line in flags), name  # which is Typer's own
         shown = [panel for panel in panels(text) if panel not in ("Arguments", "Options")]
         assert shown == [panel for panel in PANELS if panel in shown], name
         assert not re.search(r"│ +\S{1,7} │$", text, flags=re.M)  # no column of single words

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -43,6 +44,10 @@ def test_depth_and_points(msnet, folder):
     code, out, err = predict(msnet, folder, *options, "--calib", folder / "calib.txt", "--json")
     assert (code, err) == (0, "")
     assert {str(path) for path in (*depth, *points)} <= set(json.loads(out)["files"].values())
+    pictured = json.loads(out)["files"]["depth_picture"]
+    assert Path(pictured).name == "left_depth_picture.png"
+    height, width = cv2.imread(pictured).shape[:2]
+    assert height == 120 and 240 < width < 480
     # 500 px * 0.1 m / (20 px + 5 px)
     assert np.median(np.load(depth[1])) == pytest.approx(2, abs=0.01)
     assert np.median(cv2.imread(str(depth[0]), cv2.IMREAD_UNCHANGED)) == pytest.approx(2000, abs=10)

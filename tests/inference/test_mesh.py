@@ -1,6 +1,7 @@
 """Meshes of results, opened by trimesh, and the other forms that a result takes."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -131,6 +132,8 @@ def test_pil_image(result):
 
 
 def test_plot_and_show(result, monkeypatch):
+    titles = [axes.get_title() for axes in replace(result, calibration=CALIBRATION).plot().axes]
+    assert titles[:4] == ["left view", "disparity (px)", "depth (m)", "confidence"]
     left, disparity, confidence, *bars = result.plot().axes
     assert [axes.get_title() for axes in (left, disparity, confidence)] == [
         "left view",

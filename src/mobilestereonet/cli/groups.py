@@ -14,6 +14,9 @@ from typer.models import OptionInfo
 
 from mobilestereonet.cli.panels import panel_of, place_in_help
 
+_METAVARS: dict[Any, str] = {bool: "", bool | None: "", int: "<n>", int | None: "<n>"}
+"""What the help shows in place of an option's value, by its type: a flag takes none."""
+
 
 def with_options_of_groups(command: Callable[..., None]) -> Callable[..., None]:
     """A command as Typer takes it, with an option per field for each parameter that is a group.
@@ -67,6 +70,8 @@ def _option(name: str, default: Any, annotation: Any) -> Parameter:
     default = Parameter.empty if default is MISSING else default
     if isinstance(info, OptionInfo):
         info.rich_help_panel = info.rich_help_panel or panel_of(name)
+        if info.metavar is None:
+            info.metavar = _METAVARS.get(get_args(annotation)[0])
     info.autocompletion = info.autocompletion or getattr(info.callback, "complete", None)
     annotation = getitem(Annotated, (get_args(annotation)[0], info))
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -112,7 +112,7 @@ for panel, commands in COMMANDS.items():
             epilog=f"Example: msnet {example}",
             rich_help_panel=panel,
         )(with_options_of_groups(command))
-app.add_typer(data, rich_help_panel="Research")
+app.add_typer(data, rich_help_panel="Research", epilog="Example: msnet data list")
 
 
 def main() -> None:

@@ -32,7 +32,8 @@ def predict(
     depth: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more.",
+            help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more. The folder of "
+            "--output gets it in colours, with a bar in metres.",
             callback=ends_in(DEPTH_ENDINGS, "depth is"),
         ),
     ] = None,
@@ -67,14 +68,17 @@ def predict(
 
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
+    from mobilestereonet.data.files import write_png
     from mobilestereonet.inference import load_pair
     from mobilestereonet.inference.first_look import put_right
     from mobilestereonet.inference.map_files import MAP_FILES
     from mobilestereonet.inference.span import Span
+    from mobilestereonet.plots import depth_picture
     from mobilestereonet.streams import RerunLog, StereoFrame
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
-    check_outputs(*maps, *depth_files, *point_files)
+    pictured = [output / f"{left.stem}_depth_picture.png"] if depth_files else []
+    check_outputs(*maps, *pictured, *depth_files, *point_files)
     rectifier = cameras.read()
     pair = load_pair(left, right, layout=views.layout)
     pair = put_right(pair, views.views, rectifier, shift=options.shift)
@@ -98,6 +102,9 @@ def predict(
         for file in depth_files:
             write_depth(file, metres)
             _list(files, f"depth{file.suffix}", file)
+        for file in pictured:
+            write_png(file, depth_picture(metres))
+            files["depth_picture"] = str(file)
     if calibration is not None and point_files:
         cloud = result.points(calibration)
         for file in point_files:

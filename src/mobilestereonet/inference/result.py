@@ -28,7 +28,7 @@ from mobilestereonet.inference.geometry import (
 from mobilestereonet.inference.map_files import save_maps
 from mobilestereonet.inference.mesh import Mesh, surface
 from mobilestereonet.inference.run_info import RunInfo
-from mobilestereonet.plots import colour_disparity, plot_maps, side_by_side
+from mobilestereonet.plots import colour_disparity, depth_picture, plot_maps, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -255,15 +255,23 @@ class StereoResult:
         """The left view beside the coloured disparity, (H, 2 W + gap, 3) uint8 RGB."""
         return side_by_side([self.left, colour_disparity(self.disparity, valid=self.valid)])
 
+    def depth_picture(self, calibration: Calibration | str | Path | None = None) -> Picture:
+        """The depth in colours beside a bar in metres, (H, W + the bar's, 3) uint8 RGB.
+
+        Args:
+            calibration: See `depth`.
+        """
+        return depth_picture(self.depth(calibration))
+
     def to_pil(self) -> Image.Image:
         """The disparity's colours as a PIL image, of the left view's size."""
         return Image.fromarray(colour_disparity(self.disparity, valid=self.valid))
 
     def plot(self, figure: Figure | None = None) -> Figure:
-        """Left view, disparity in px and, if there is one, confidence, as a Matplotlib figure.
+        """Left view, disparity in px and, if known, depth in m and confidence, as a figure.
 
         Args:
-            figure: Figure to draw in; by default a new one, which `show` and notebooks show.
+            figure: Matplotlib's, to draw in; by default a new one, which `show` and notebooks show.
 
         Raises:
             InputError: If Matplotlib is not installed.
@@ -273,6 +281,11 @@ class StereoResult:
             ("left view", self.left, {}),
             ("disparity (px)", known, {"cmap": "turbo", "vmin": 0}),
         ]
+        if self.calibration is not None:
+            metres = self.depth()
+            seen = np.where(metres > 0, metres, np.float32(np.nan))
+            farthest = np.percentile(metres[metres > 0], 99) if metres.any() else 1.0
+            maps.append(("depth (m)", seen, {"cmap": "turbo_r", "vmin": 0, "vmax": farthest}))
         if self.confidence is not None:
             maps.append(("confidence", self.confidence, {"cmap": "grey", "vmin": 0, "vmax": 1}))
         return plot_maps(maps, figure)
