@@ -31,7 +31,7 @@ IMAGES = Path(__file__).parents[1] / "images"
 
 LINES = ((255, 193, 7), (0, 200, 83), (41, 182, 246), (236, 64, 122), (171, 71, 188))
 
-GALLERY_SEED, GALLERY_SCENES = 20_000, 8
+GALLERY_SEED, GALLERY_SCENES = 20_000, 12
 SHEET_SEED, SHEET_SCENES = 30_000, 8
 
 
@@ -169,20 +169,22 @@ def gallery() -> dict[str, Picture]:
     matchers = [StereoMatcher.from_pretrained(name) for name in MODELS]
     for sample in samples:
         results = [matcher(sample.left, sample.right) for matcher in matchers]
-        errors.append([_d1(result, sample) for result in results])
+        errors.append([_figures(result, sample) for result in results])
         top = _range(sample)
         truth = colour_disparity(_truth(sample), top, sample.valid)
         maps = [colour_disparity(result.disparity, top) for result in results]
         rows.append([to_picture(sample.left), truth, *maps])
-        print(sample.name, errors[-1])
-    order = sorted(range(1, len(samples)), key=lambda index: errors[index][0])
+        print(sample.name, *(f"{error['d1']:.1f} %" for error in errors[-1]), flush=True)
+    order = sorted(range(1, len(samples)), key=lambda index: errors[index][0]["d1"])
 
     def panel(chosen: list[int]) -> Picture:
         captions = [
-            "D1: " + ", ".join(f"{e:.1f} % {t}" for e, t in zip(errors[i], TITLES[2:], strict=True))
+            ["", "", *(f"EPE {e['epe']:.2f} px, D1 {e['d1']:.1f} %" for e in errors[i])]
             for i in chosen
         ]
-        return sheet([rows[i] for i in chosen], width=300, titles=TITLES, captions=captions)
+        return sheet(
+            [rows[i] for i in chosen], width=300, titles=TITLES, captions=captions, text_px=25
+        )
 
     return {
         "gallery": panel([0, order[len(order) // 2], order[-1]]),
@@ -190,10 +192,10 @@ def gallery() -> dict[str, Picture]:
     }
 
 
-def _d1(result: StereoResult, sample: StereoSample) -> float:
+def _figures(result: StereoResult, sample: StereoSample) -> dict[str, float]:
     metrics = StereoMetrics()
     metrics.update(torch.from_numpy(result.disparity)[None], collate([sample]))
-    return metrics.compute().figures()["d1"]
+    return metrics.compute().figures()
 
 
 FIGURES: dict[str, Callable[[], Picture | dict[str, Picture]]] = {
