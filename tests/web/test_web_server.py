@@ -4,6 +4,7 @@ import asyncio
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from socket import gethostname
 from threading import Event
@@ -18,7 +19,7 @@ import torch
 
 from extras import need_extra
 from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
-from mobilestereonet.web.cameras import FILE, NUMBERS
+from mobilestereonet.web.cameras import FILE, NUMBERS, UNKNOWN
 from mobilestereonet.web.uploads import UploadLimits
 
 gr = need_extra("gradio")
@@ -37,6 +38,9 @@ PICTURE, OTHER = (
     for view in np.random.default_rng(0).integers(0, 255, (2, 32, 48, 3), np.uint8)
 )
 VISITOR = SimpleNamespace(session_hash="someone")
+EXAMPLES = (NUMBERS, 50, 0.2, 1)
+"""What the example's choice fills in for the cameras."""
+CAMERAS = ("metres", "source", "focal", "baseline", "doffs")
 CLICK = [False, "msnet2d", "torch", True, NUMBERS, 50, 0.2, 0, 0, 0.5]
 
 
@@ -317,7 +321,7 @@ def test_all_ways_to_a_match_share_one_queue(act):
 
 @pytest.fixture
 def act(config, tmp_path):
-    return Handlers(config, tmp_path)
+    return Handlers(replace(config, examples=[*config.examples]), tmp_path)
 
 
 def put(folder, content, name="picture.png"):
@@ -347,20 +351,23 @@ def test_the_page_opens_with_a_result(act, monkeypatch):
     assert "msnet2d on torch fp32, 48x32" in opened["facts"]
     assert opened["view"]["geometry"]["depth"] == pytest.approx(10)
     assert Path(opened["everything"]["value"]).is_file()
-    assert Path(act.shape(VISITOR, "Surface")).suffix == ".glb"
+    shown = act.shape(VISITOR, "Surface", opened["distance"])
+    assert Path(shown["value"]).suffix == ".glb"
+    assert shown["camera_position"] == (90, 90, opened["distance"])
     assert "matched in" in match(act)["facts"]
 
 
 def test_handlers_from_the_upload_to_the_shape(act, tmp_path):
     files = [put(tmp_path, PICTURE, "a.png"), put(tmp_path, OTHER, "b.png")]
-    taken = last(act.take_pair(VISITOR, files))
+    taken = last(act.take_pair(VISITOR, files, *EXAMPLES))
     assert Path(taken["left"]).read_bytes() == PICTURE.tobytes()
     assert taken["view"].keys() == {"left"}  # at once
     found = match(act)
     assert "msnet2d on torch fp32, 48x32" in found["facts"]
     assert found["view"]["geometry"]["depth"] == pytest.approx(10)
     assert found["progress"] is None
-    assert {Path(act.shape(VISITOR, kind)).name for kind in ("Surface", "Points")} == {
+    shown = (act.shape(VISITOR, kind, None)["value"] for kind in ("Surface", "Points"))
+    assert {Path(path).name for path in shown} == {
         "stereo_mesh.glb",
         "stereo_points.glb",
     }
@@ -407,10 +414,32 @@ def test_an_example_fills_everything_in(act):
     found = last(act.take_example(SimpleNamespace(index=0), VISITOR))
     assert Path(found["left"]).is_file()
     assert Path(found["right"]).is_file()
-    assert [found[name] for name in ("metres", "source", "focal", "baseline", "doffs")] == [
-        *(True, NUMBERS, 50, 0.2, 1)
-    ]
+    assert [found[name] for name in CAMERAS] == [True, *EXAMPLES]
     assert found["view"].keys() == {"left"}
+
+
+def test_an_example_of_unknown_cameras_leaves_no_numbers(act):
+    act.config.examples.append(replace(act.config.examples[0], calibration=None))
+    found = last(act.take_example(SimpleNamespace(index=1), VISITOR))
+    assert [found[name] for name in CAMERAS] == [False, UNKNOWN, None, None, None]
+
+
+@pytest.mark.parametrize(
+    ("said", "stays"),
+    [
+        (EXAMPLES, False),
+        ((NUMBERS, 50, 0.2, 0), True),
+        ((FILE, *EXAMPLES[1:]), True),
+        ((UNKNOWN, None, None, None), True),
+    ],
+)
+def test_numbers_of_an_example_are_not_those_of_the_next_pair(act, tmp_path, said, stays):
+    act.config.examples.append(replace(act.config.examples[0], calibration=None))
+    found = last(
+        act.take_pair(VISITOR, [put(tmp_path, PICTURE), put(tmp_path, OTHER, "b.png")], *said)
+    )
+    assert found.get("metres") is (None if stays else False)
+    assert ("focal" in found) is not stays
 
 
 @pytest.mark.parametrize(
@@ -418,7 +447,7 @@ def test_an_example_fills_everything_in(act):
 )
 def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
     with pytest.raises(FieldError, match=r"pair_error.*(upload is not there|no picture)"):
-        last(act.take_pair(VISITOR, payload))
+        last(act.take_pair(VISITOR, payload, *EXAMPLES))
     file = payload and payload[0]
     with pytest.raises(FieldError, match=r"cameras_error.*the upload is not there"):
         last(act.take_calibration(VISITOR, file))
@@ -427,7 +456,7 @@ def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
 
 def test_errors_are_one_line_at_their_field(act, tmp_path):
     with pytest.raises(FieldError, match=r"pair_error.*no PNG, JPEG"):
-        last(act.take_pair(VISITOR, [put(tmp_path, b"text")]))
+        last(act.take_pair(VISITOR, [put(tmp_path, b"text")], *EXAMPLES))
     with pytest.raises(FieldError, match=r"pair_error.*there is no left picture"):
         match(act, chosen=True)  # as after an hour
     with pytest.raises(FieldError, match=r"cameras_error.*the baseline is 0 or missing"):

@@ -17,7 +17,7 @@ from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
-from mobilestereonet.inference import Rectifier, load_pair
+from mobilestereonet.inference import PointCloud, Rectifier, load_pair
 from mobilestereonet.web.answer import (
     CLOUD,
     MESH,
@@ -25,6 +25,7 @@ from mobilestereonet.web.answer import (
     prepare,
     rectifier_of,
     view,
+    viewing_distance,
 )
 from mobilestereonet.web.cameras import CAMERAS, FILE, NUMBERS, UNKNOWN, Geometry
 from mobilestereonet.web.sessions import Sessions
@@ -266,6 +267,14 @@ def test_what_is_shown_and_written(session, matcher):
     assert found.summary.startswith("msnet2d on torch fp32, 64x40: matched in ")
     seen_left, left = (cv2.blur(image, (9, 9)) for image in (shown(seen["left"]), LEFT))
     assert np.abs(seen_left.astype(float) - left).mean() < 5  # noise, as JPEG
+
+
+def test_points_fill_the_view_in_3d():
+    corners = np.array([[-3, -1, 4], [3, 1, 4], [-6, -2, 8], [6, 2, 8]], np.float32)
+    distance = viewing_distance(PointCloud(corners, np.zeros((4, 3), np.uint8)))
+    x, y, z = (corners - [0, 0, 6 - distance]).T  # of the viewer's camera
+    seen = np.abs([x / z / 1.5, y / z]) / np.tan(0.4)
+    assert seen.max() == pytest.approx(1)
 
 
 def test_maps_unpack_to_the_disparity(session, matcher):

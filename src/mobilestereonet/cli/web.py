@@ -98,6 +98,7 @@ def web(
     )
     # So that files are deleted however the server is ended.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    print("msnet: matching the example that the page opens with ...", file=sys.stderr, flush=True)
     with running(config, host=host, port=port) as address:
         print(f"{address} (end with Ctrl-C)", flush=True)
         if host not in ("127.0.0.1", "localhost", "::1"):

@@ -43,6 +43,12 @@ CLOUD = "stereo_points.glb"
 MESH = "stereo_mesh.glb"
 """File of an answer's surface for the browser and Blender, if there is any."""
 
+SHAPE_ASPECT = 1.5
+"""Width by height of the view in 3D, see page.css."""
+
+_HALF_VIEW = math.tan(0.8 / 2)
+"""Half the height of what the viewer's camera (Babylon's default) sees at a distance of 1."""
+
 _JPEG_QUALITY = 92
 
 
@@ -55,11 +61,13 @@ class Answer:
             ``everything``; without what could not be made.
         summary: Model, engine, precision, size and times.
         notes: Warnings about the pair.
+        distance: See `viewing_distance`; None without points.
     """
 
     downloads: dict[str, Path]
     summary: str
     notes: list[str]
+    distance: float | None
 
 
 def rectifier_of(geometry: Geometry, size: Size, pair: StereoPair) -> Rectifier | None:
@@ -121,13 +129,14 @@ def answer(session: Session, pair: StereoPair, result: StereoResult, geometry: G
     if calibration is not None and geometry.guessed:
         notes.append("the scale is guessed: a field of view of 60 degrees, cameras 65 mm apart")
     with session.replace("answer") as folder:
-        downloads = _write(folder, result, calibration, geometry, notes)
+        downloads, distance = _write(folder, result, calibration, geometry, notes)
     assert result.info is not None  # the matcher's results have one
     matched, after = result.info.seconds, time.perf_counter() - started
     return Answer(
         downloads=downloads,
         summary=f"{result.info}: matched in {matched:.2f} s, checked and written in {after:.2f} s",
         notes=notes,
+        distance=distance,
     )
 
 
@@ -142,7 +151,7 @@ def _write(
     calibration: Calibration | None,
     geometry: Geometry,
     notes: list[str],
-) -> dict[str, Path]:
+) -> tuple[dict[str, Path], float | None]:
     result.save(folder, "stereo")
     downloads = {"picture": folder / "stereo_disparity_colours.png"}
     write_png(downloads["picture"], colour_disparity(result.disparity, valid=result.valid))
@@ -156,6 +165,7 @@ def _write(
     known = calibration or ASSUMED.calibration((width, height))
     limits = _limits(result, known, geometry)
     points = result.points(known, **limits)
+    distance = viewing_distance(points) if len(points.points) else None
     try:
         points.save(folder / "stereo_points.ply")
         _thinned(points).save(folder / CLOUD)
@@ -168,7 +178,7 @@ def _write(
     with ZipFile(folder / "stereo.zip", "w") as archive:  # most of them are compressed already
         for path in files:
             archive.write(path, path.name)
-    return downloads | {"everything": folder / "stereo.zip"}
+    return downloads | {"everything": folder / "stereo.zip"}, distance
 
 
 def _limits(result: StereoResult, calibration: Calibration, geometry: Geometry) -> dict[str, Any]:
@@ -178,6 +188,14 @@ def _limits(result: StereoResult, calibration: Calibration, geometry: Geometry) 
         "max_depth": geometry.max_depth or MAX_DEPTH_RATIO * median,
         "min_confidence": 0.0 if result.confidence is None else geometry.min_confidence,
     }
+
+
+def viewing_distance(cloud: PointCloud) -> float:
+    """Distance in metres from the points' middle from which they just fill the view in 3D."""
+    low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
+    x, y, z = (cloud.points - (low + high) / 2).T
+    needed = np.maximum(np.abs(x) / SHAPE_ASPECT, np.abs(y)) / _HALF_VIEW
+    return float((needed - z).max())
 
 
 def _thinned(cloud: PointCloud) -> PointCloud:

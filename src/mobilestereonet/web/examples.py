@@ -1,4 +1,4 @@
-"""Example pairs: a real one and rendered ones."""
+"""Example pairs: photographs whose licences allow it, and rendered scenes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mobilestereonet.data.sample import Calibration, StereoSample
 
 
 def examples() -> list[StereoSample]:
-    """Read the examples, each with its calibration and a name to show.
+    """Read the examples, each with a name to show, and its calibration if that is known.
 
-    The first one is Middlebury's Motorcycle from scikit-image's wheel; the others are procedural
-    scenes, which benchmarks/web_examples.py rendered.
+    Middlebury's Motorcycle comes from scikit-image's wheel; benchmarks/web_examples.py says where
+    the others are from.
     """
     pairs = files(__package__).joinpath("pairs")
     cameras = json.loads(pairs.joinpath("cameras.json").read_text("utf-8"))
@@ -27,5 +27,6 @@ def examples() -> list[StereoSample]:
         with pairs.joinpath(f"{name}.webp").open("rb") as file:
             views = np.split(np.asarray(Image.open(file).convert("RGB")), 2, axis=1)
         left, right = map(image_to_tensor, views)
-        found.append(StereoSample(left, right, calibration=Calibration(**numbers), name=name))
+        known = Calibration(**numbers) if numbers else None
+        found.append(StereoSample(left, right, calibration=known, name=name))
     return found

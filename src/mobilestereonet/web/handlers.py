@@ -15,7 +15,7 @@ import gradio as gr
 
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.images import to_picture
-from mobilestereonet.data.sample import StereoSample
+from mobilestereonet.data.sample import Calibration, StereoSample
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier, StereoMatcher
 from mobilestereonet.web.answer import (
@@ -27,7 +27,7 @@ from mobilestereonet.web.answer import (
     rectifier_of,
     view,
 )
-from mobilestereonet.web.cameras import FILE, NUMBERS, Geometry
+from mobilestereonet.web.cameras import FILE, NUMBERS, UNKNOWN, Geometry
 from mobilestereonet.web.sessions import Session, Sessions
 from mobilestereonet.web.uploads import UploadLimits, admit_calibration, admit_pair, read_views
 
@@ -39,6 +39,7 @@ ERRORS = ("pair_error", "cameras_error", "match_error")
 NUMBERS_OF_CAMERAS = ("focal", "baseline", "doffs")
 PARTS = (
     *("drop", "chosen", "left", "right", "view", "progress", "cancel", "facts", "tabs", "shape"),
+    "distance",
     *("metres", "source", *NUMBERS_OF_CAMERAS),
     *DOWNLOADS,
     *ERRORS,
@@ -62,7 +63,8 @@ class PageConfig:
         models: Quality levels and names of models; the first is the default.
         engines: Names of the engines; the first is the default.
         matcher: Makes a matcher of a model's and an engine's name.
-        examples: Pairs with calibration; the page opens with the result of the first.
+        examples: Pairs, with a calibration if it is known; the page opens with the result of the
+            first.
         limits: Limits of uploads and visitors.
         rectifier: Has the geometry of pairs for which the visitor fills in none.
     """
@@ -110,9 +112,9 @@ class Handlers:
     def open(self) -> Updates:
         """Match the first example; gives what the page shows before anybody did anything."""
         updates = self._put_example(self.opening, 0)
-        numbers = [updates[name] for name in NUMBERS_OF_CAMERAS]
-        focal, baseline, doffs = numbers
-        geometry = Geometry(NUMBERS, None, focal, baseline, doffs, None, MIN_CONFIDENCE)
+        source = updates["source"] if updates["metres"] else None
+        focal, baseline, doffs = (updates[name] for name in NUMBERS_OF_CAMERAS)
+        geometry = Geometry(source, None, focal, baseline, doffs, None, MIN_CONFIDENCE)
         model, engine = self.config.models[0], self.config.engines[0]
         for step in self._match(self.opening, model, engine, geometry):
             updates |= step
@@ -126,14 +128,26 @@ class Handlers:
         return session
 
     def take_pair(
-        self, request: gr.Request, files: list[dict[str, Any]] | None
+        self,
+        request: gr.Request,
+        files: list[dict[str, Any]] | None,
+        source: str,
+        *numbers: float | None,
     ) -> Iterator[Updates]:
-        """Take dropped pictures into the session; gives the left view if the pair is whole."""
+        """Take dropped pictures into the session; gives the left view if the pair is whole.
+
+        What the visitor said about the cameras stays; an example's numbers go with the example.
+        """
         session = self.sessions[request.session_hash]
         paths = [Path(str((file or {}).get("path") or "")) for file in files or []]
         with at("pair_error"):
             admit_pair(paths, self.uploads, session, self.config.limits)
-            yield {**self._thumbnails(session), "drop": None}
+            updates = {**self._thumbnails(session), "drop": None}
+            said = {"source": source, **dict(zip(NUMBERS_OF_CAMERAS, numbers, strict=True))}
+            known = [_cameras(example.calibration) for example in self.config.examples]
+            if {"metres": True, **said} in known:
+                updates |= _cameras(None)
+            yield updates
             yield self._preview(session)
 
     def take_calibration(
@@ -165,14 +179,7 @@ class Handlers:
         for side, picture in (("left", sample.left), ("right", sample.right)):
             with session.replace(side) as folder:
                 write_png(folder / f"{side}.png", to_picture(picture))
-        known = sample.calibration
-        assert known is not None  # examples have one
-        return {
-            **self._thumbnails(session),
-            "metres": True,
-            "source": NUMBERS,
-            **{name: round(getattr(known, name), 4) for name in NUMBERS_OF_CAMERAS},
-        }
+        return self._thumbnails(session) | _cameras(sample.calibration)
 
     def _thumbnails(self, session: Session) -> Updates:
         paths = {side: session.file(side) for side in ("left", "right")}
@@ -216,6 +223,7 @@ class Handlers:
             **dict.fromkeys(ERRORS, ""),
             "progress": {"label": f"Loading {model}", "expected": None},
             "cancel": gr.update(visible=True),
+            "facts": "",
             "tabs": gr.update(selected="depth"),
             "shape": None,
             **{name: _download(None) for name in DOWNLOADS},
@@ -250,6 +258,7 @@ class Handlers:
         notes = "".join(f"\n- {html.escape(note)}" for note in found.notes)
         yield {
             **_at_rest(),
+            "distance": found.distance,
             "facts": found.summary + ("\n\n**Mind:**\n" + notes if notes else ""),
             **{name: _download(found.downloads.get(name)) for name in DOWNLOADS},
         }
@@ -258,13 +267,15 @@ class Handlers:
         """Tell that the match was cancelled; what is being computed ends by itself, unseen."""
         yield {**_at_rest(), "facts": "Cancelled."}
 
-    def shape(self, request: gr.Request, kind: str) -> str | None:
-        """File of the points or the surface of the session's answer."""
+    def shape(self, request: gr.Request, kind: str, distance: float | None) -> Any:
+        """Show the points or the surface of the session's answer, from a distance in metres."""
         session = self.sessions[request.session_hash]
         if not session.holds("answer"):
             session = self.opening
         path = session.file("answer", SHAPES.get(kind, CLOUD))
-        return str(path) if path else None
+        return gr.update(
+            value=str(path) if path else None, camera_position=(90, 90, distance or None)
+        )
 
     def leave(self, request: gr.Request) -> None:
         """Close the session of a visitor who has left the page."""
@@ -281,6 +292,14 @@ def failed(error: FieldError) -> Updates:
     """What the page shows of an error: one line at its field."""
     field, text = error.args
     return {**_at_rest(), "drop": None, field: f"<p role='alert'>{html.escape(text)}</p>"}
+
+
+def _cameras(known: Calibration | None) -> Updates:
+    """The fields of the cameras for a calibration, or for a pair of which nothing is known yet."""
+    if known is None:
+        return {"metres": False, "source": UNKNOWN, **dict.fromkeys(NUMBERS_OF_CAMERAS)}
+    numbers = {name: round(getattr(known, name), 4) for name in NUMBERS_OF_CAMERAS}
+    return {"metres": True, "source": NUMBERS, **numbers}
 
 
 def _at_rest() -> Updates:

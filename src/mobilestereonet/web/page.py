@@ -92,7 +92,10 @@ def build_page(handlers: Handlers) -> gr.Blocks:
         }
         taken = [
             parts["drop"].upload(
-                _streamed(handlers.take_pair), parts["drop"], preprocess=False, **quiet
+                _streamed(handlers.take_pair),
+                [parts["drop"], *numbers[1:]],
+                preprocess=False,
+                **quiet,
             ),
             swap.click(_streamed(handlers.swap), parts["chosen"], **quiet),
             gallery.select(_chosen(handlers.take_example), **quiet),
@@ -103,7 +106,12 @@ def build_page(handlers: Handlers) -> gr.Blocks:
         # Not before its tab is open: a viewer that has a model when it is mounted stays empty (seen
         # in gradio 6.31). Nobody who does not look at the points waits for them, either.
         for event in (tab.select, kind.change):
-            event(handlers.shape, kind, parts["shape"], api_visibility="private")
+            event(
+                handlers.shape,
+                [kind, parts["distance"]],
+                parts["shape"],
+                api_visibility="private",
+            )
         page.unload(handlers.leave)
     # gradio looks for files in whatever is sent to a component, be it a number.
     for block in page.blocks.values():
@@ -180,7 +188,7 @@ def _pair_inputs(parts: dict[str, Any], opening: Updates, config: PageConfig) ->
             )
             if side == "left":
                 swap = gr.Button("⇄", min_width=44, scale=0, elem_id="swap")
-    gr.Markdown("Examples: a photographed pair, then rendered scenes.", elem_id="examples-title")
+    gr.Markdown("**Examples**: two photographed, four rendered", elem_id="examples-title")
     gallery = gr.Gallery(
         [(to_picture(sample.left), sample.name) for sample in config.examples],
         show_label=False,
@@ -289,9 +297,9 @@ def _results(parts: dict[str, Any], opening: Updates) -> tuple[Any, Any]:
             )
         with gr.Tab("3D", id="shape") as tab:
             kind = gr.Radio(list(SHAPES), value="Surface", show_label=False, elem_id="kind")
+            parts["distance"] = gr.Number(opening["distance"], visible=False)
             parts["shape"] = gr.Model3D(
                 camera_position=(90, 90, None),
-                height=460,
                 show_label=False,
                 interactive=False,
                 elem_id="shape",
@@ -351,8 +359,11 @@ def _script(name: str) -> str:
 def page_style() -> dict[str, Any]:
     """Arguments of ``launch`` that style the page, with the system's own fonts."""
     fonts = ["system-ui", "sans-serif"], ["ui-monospace", "monospace"]
+    theme = gr.themes.Default(font=fonts[0], font_mono=fonts[1]).set(
+        block_info_text_color="*neutral_600", block_info_text_color_dark="*neutral_300"
+    )
     shared = files("mobilestereonet.export").joinpath("page/viewer.css").read_text("utf-8")
     return {
-        "theme": gr.themes.Default(font=fonts[0], font_mono=fonts[1]),
+        "theme": theme,
         "css": shared + _script("page.css"),
     }
