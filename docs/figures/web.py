@@ -17,7 +17,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-FILE = Path(__file__).parents[1] / "images/web.jpg"
+FILE = Path(__file__).parents[1] / "images/web.webp"
 SIZE = {"width": 1280, "height": 900}
 
 
@@ -44,7 +44,7 @@ def main() -> None:
         page.wait_for_function("[...document.images].every(i => i.complete)")
         content = page.screenshot()
         browser.close()
-    Image.open(BytesIO(content)).convert("RGB").save(FILE, quality=84, optimize=True)
+    Image.open(BytesIO(content)).convert("RGB").save(FILE, quality=80, method=6)
 
 
 if __name__ == "__main__":

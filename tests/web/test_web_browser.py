@@ -258,6 +258,7 @@ def test_from_the_upload_to_the_download(visit, folder, expected, tmp_path):
 
 
 def turn_the_shape(page):
+    page.set_viewport_size({"width": 390, "height": 844})  # few pixels for the software's WebGL
     canvas = page.locator("#shape canvas")
 
     def opened():
@@ -279,7 +280,7 @@ def turn_the_shape(page):
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(x + 120, y + 30, steps=10)
+    page.mouse.move(x + 120, y + 30, steps=4)
     page.mouse.up()
     until(lambda: at_rest() and np.abs(seen[-1] - before).mean() > 1, "it does not turn")
 

@@ -13,8 +13,8 @@ const VIEWER = `
     <canvas id="bar" width="256" height="1"></canvas>
     <p id="ticks"></p>
     <div id="limits">
-      <label>Nearest <output></output><input id="near" type="range" min="0" max="256" value="256" /></label>
-      <label>Farthest <output></output><input id="far" type="range" min="0" max="256" value="0" /></label>
+      <label>Nearest: <output></output><input id="near" type="range" min="0" max="256" value="256" /></label>
+      <label>Farthest: <output></output><input id="far" type="range" min="0" max="256" value="0" /></label>
       <label id="sure">At least <output></output><input type="range" min="0" max="100" value="0" /></label>
     </div>
     <output id="readout"></output>
