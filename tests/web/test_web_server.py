@@ -19,6 +19,8 @@ import torch
 
 from extras import need_extra
 from mobilestereonet import Calibration, InputError, StereoMatcher, StereoSample, create_model
+from mobilestereonet.data.rig import Rig
+from mobilestereonet.inference import Rectifier
 from mobilestereonet.web.cameras import FILE, NUMBERS, UNKNOWN
 from mobilestereonet.web.uploads import UploadLimits
 
@@ -422,6 +424,16 @@ def test_an_example_of_unknown_cameras_leaves_no_numbers(act):
     act.config.examples.append(replace(act.config.examples[0], calibration=None))
     found = last(act.take_example(SimpleNamespace(index=1), VISITOR))
     assert [found[name] for name in CAMERAS] == [False, UNKNOWN, None, None, None]
+
+
+def test_the_cameras_of_the_page_are_not_those_of_its_examples(act, tmp_path):
+    rig = Rig((Calibration(50, 0.2, size=(64, 40)),), "the cameras of this page")
+    act.config = replace(act.config, rectifier=Rectifier(rig))
+    last(act.take_example(SimpleNamespace(index=0), VISITOR))
+    assert match(act, metres=False)["view"]["geometry"] is None
+    last(act.take_pair(VISITOR, [put(tmp_path, PICTURE), put(tmp_path, OTHER, "b.png")], *EXAMPLES))
+    with pytest.raises(FieldError, match=r"pair_error.*the cameras of this page.*64x40"):
+        match(act, metres=False, chosen=True)
 
 
 @pytest.mark.parametrize(

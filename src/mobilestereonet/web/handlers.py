@@ -142,6 +142,7 @@ class Handlers:
         paths = [Path(str((file or {}).get("path") or "")) for file in files or []]
         with at("pair_error"):
             admit_pair(paths, self.uploads, session, self.config.limits)
+            session.drop("example")
             updates = {**self._thumbnails(session), "drop": None}
             said = {"source": source, **dict(zip(NUMBERS_OF_CAMERAS, numbers, strict=True))}
             known = [_cameras(example.calibration) for example in self.config.examples]
@@ -179,6 +180,8 @@ class Handlers:
         for side, picture in (("left", sample.left), ("right", sample.right)):
             with session.replace(side) as folder:
                 write_png(folder / f"{side}.png", to_picture(picture))
+        with session.replace("example"):  # which the page's own cameras have not taken
+            pass
         return self._thumbnails(session) | _cameras(sample.calibration)
 
     def _thumbnails(self, session: Session) -> Updates:
@@ -231,7 +234,9 @@ class Handlers:
         with at("pair_error"):
             pair, size = read_views(session, self.config.limits.pixels)
         with at("cameras_error"):
-            rectifier = rectifier_of(geometry, size, pair) or self.config.rectifier
+            rectifier = rectifier_of(geometry, size, pair)
+            if not session.holds("example"):
+                rectifier = rectifier or self.config.rectifier
         with at("match_error"):
             matcher = self._matcher(model, engine)
         with at("pair_error"):
