@@ -63,7 +63,14 @@ MISTAKES = {
     "demo": MATCHER,
     f"predict {PAIR} -o out": (
         "--set estimator=mean",
-        *(*MATCHER, *CALIBRATION, "--depth depth.jpg", "--points points.stl", "--max-depth 3"),
+        *(
+            *MATCHER,
+            *CALIBRATION,
+            "--depth depth.jpg",
+            "--points points.stl",
+            "--mesh a.ply",
+            "--max-depth 3",
+        ),
         *("--focal 900 --baseline 0.2", "--depth depth.npy", "--min-confidence 2", "--tile 3"),
     ),
     "predict absent.png right.png -o out": ("",),

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 
 @pytest.fixture
@@ -36,14 +37,18 @@ def predict(msnet, folder, *options, right="right.png"):
     return msnet("predict", *views, "-o", folder / "out", "--model", "sgbm", *options)
 
 
-def test_depth_and_points(msnet, folder):
+def test_depth_points_and_mesh(msnet, folder):
     depth = [folder / "new" / name for name in ("depth.png", "depth.npy", "depth.tiff")]
     points = [folder / "new" / name for name in ("points.ply", "points.glb")]
     options = [text for path in depth for text in ("--depth", path)]
     options += [text for path in points for text in ("--points", path)]
+    meshes = [folder / "new" / name for name in ("scene.glb", "scene.obj", "scene.stl")]
+    options += [text for path in meshes for text in ("--mesh", path)]
     code, out, err = predict(msnet, folder, *options, "--calib", folder / "calib.txt", "--json")
     assert (code, err) == (0, "")
-    assert {str(path) for path in (*depth, *points)} <= set(json.loads(out)["files"].values())
+    assert {str(path) for path in (*depth, *points, *meshes)} <= set(
+        json.loads(out)["files"].values()
+    )
     pictured = json.loads(out)["files"]["depth_picture"]
     assert Path(pictured).name == "left_depth_picture.png"
     height, width = cv2.imread(pictured).shape[:2]
@@ -56,6 +61,9 @@ def test_depth_and_points(msnet, folder):
     )
     assert b"element vertex" in points[0].read_bytes()[:300]
     assert points[1].read_bytes()[:4] == b"glTF"
+    surface = trimesh.load(meshes[0]).to_mesh()
+    assert np.median(surface.vertices[:, 2]) == pytest.approx(-2, abs=0.01)
+    assert len(trimesh.load(meshes[2]).faces) == len(surface.faces) > 10000
 
 
 def test_the_range_and_the_median_are_told(msnet, folder):
@@ -176,7 +184,10 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--depth", "d.npy"), "depth and points need --rig FILE; or --focal PX (or --fov DEGREES"),
+        (
+            ("--depth", "d.npy"),
+            "depth, points and meshes need --rig FILE; or --focal PX (or",
+        ),
         (
             ("--depth", "d.npy"),
             "and --baseline METRES; or, with predict, --known COLUMN,ROW=METRES",

@@ -397,8 +397,19 @@ def test_findings_come_with_the_result(matcher):
         ("exposure", "good"),
         ("geometry", "unknown"),
     ]
-    assert "same picture" in matcher(left, left).findings[0].text
     assert matcher(left, right // 3).findings[1].level == "warning"
+
+
+def test_what_leaves_no_sensible_result_is_told(matcher):
+    """By a warning in the caller's own line, and where the result is shown."""
+    left, _ = random_pair(40, 60)
+    with pytest.warns(UserWarning, match="content: .*same picture") as told:
+        result = matcher(left, left)
+    assert told[0].filename == __file__
+    assert "same picture" in result.findings[0].text
+    assert "problem: " in repr(result) and "same picture" in repr(result)
+    with pytest.warns(UserWarning, match="same picture"):
+        matcher.batch([(left, left)])
 
 
 class OnDevice(FakeEngine):

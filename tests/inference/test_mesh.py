@@ -61,6 +61,15 @@ def test_which_pixels_are_in_a_mesh(result):
             plain.mesh(CALIBRATION, **bad)
 
 
+def test_a_large_view_has_a_vertex_for_every_other_pixel():
+    size = (400, 800)
+    plane = StereoResult(
+        np.zeros((*size, 3), np.uint8), np.ones(size, np.float32), np.ones(size) > 0
+    )
+    assert len(plane.mesh(CALIBRATION).vertices) == 200 * 400
+    assert len(plane.mesh(CALIBRATION, step=1).vertices) == 400 * 800
+
+
 def colours_at_vertices(mesh):
     """The texture's colours at the vertices, looked up as the formats define it."""
     material = mesh.visual.material

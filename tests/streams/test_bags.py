@@ -436,6 +436,26 @@ def test_results_of_exchanged_topics_are_of_the_left_camera(rosbags, msnet, tmp_
     assert np.median(centre(values_of(message.image, "<f4"))) == pytest.approx(10, abs=0.1)
 
 
+def test_topics_that_camera_info_has_in_the_other_order_are_exchanged(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", frames=1)
+    code, _, err = msnet("video", bag, *topics(*VIEWS[::-1]), "--bag", tmp_path / "a.mcap", *SGBM)
+    assert code == 0
+    assert f"{VIEWS[0]} is the left view and {VIEWS[1]} the right one: they have been" in err
+    messages = {topic: sent[0][1] for (topic, _), sent in read_mcap(tmp_path / "a.mcap").items()}
+    depth = messages["/stereo/depth"]
+    true = FOCAL_PX * BASELINE_M / 10
+    assert np.median(centre(values_of(depth, "<f4"))) == pytest.approx(true, rel=0.03)
+    assert depth.header.frame_id == "left_camera"
+
+
+def test_limits_of_depth_need_a_calibration(rosbags, msnet, tmp_path):
+    bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
+    words = ("video", bag, *topics(*VIEWS), "--bag", tmp_path / "a.mcap", *SGBM)
+    code, _, err = msnet(*words, "--max-depth", 3)
+    assert (code, "--max-depth needs --rig FILE" in err) == (2, True)
+    assert not (tmp_path / "a.mcap").exists()
+
+
 def test_an_uncalibrated_bag_gives_disparity_alone(rosbags, msnet, tmp_path):
     bag = write_bag(tmp_path / "run.mcap", frames=1, calibrated=False)
     assert open_stream(str(bag), left_topic=VIEWS[0], right_topic=VIEWS[1]).calibration is None

@@ -85,6 +85,7 @@ UNITS = ("m", "cm", "mm")
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")
 POINTS_ENDINGS = (".ply", ".glb")
+MESH_ENDINGS = (".glb", ".obj", ".stl")
 VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")
 BAG_ENDINGS = (".mcap", ".bag")
 

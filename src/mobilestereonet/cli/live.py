@@ -99,8 +99,6 @@ def live(
             metric=bool(sinks.given),
             confidence=confidence,
         )
-        if filters.max_depth < float("inf") and not opened.deep:
-            raise InputError("--max-depth needs --rig FILE, or --focal and --baseline")
         opened = replace(opened, stream=as_live(opened.stream))
         files = opened.open_sinks(sinks, stack)
         told = opened.run(stop, [*screens, *files])

@@ -35,7 +35,7 @@ PANELS = {
         *("refine", "left_right", "min_confidence", "max_depth", "keep_edges", "force"),
     ),
     "Output": (
-        *("output", "frames", "write", "depth", "points", "confidence", "show", "beside"),
+        *("output", "frames", "write", "depth", "points", "mesh", "confidence", "show", "beside"),
         *(
             "bag",
             "rerun",

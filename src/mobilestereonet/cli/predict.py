@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import WAYS_TO_METRES, CalibrationOptions
-from mobilestereonet.cli.early import DEPTH_ENDINGS, POINTS_ENDINGS, ends_in
+from mobilestereonet.cli.early import DEPTH_ENDINGS, MESH_ENDINGS, POINTS_ENDINGS, ends_in
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import AsJson, LeftView, SecondView, new_output
@@ -44,6 +44,13 @@ def predict(
             callback=ends_in(POINTS_ENDINGS, "points are"),
         ),
     ] = None,
+    mesh: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Textured surface: .glb (Blender), .obj or .stl. Repeat for more.",
+            callback=ends_in(MESH_ENDINGS, "meshes are"),
+        ),
+    ] = None,
     rerun: Rerun = None,
     tile: Annotated[
         tuple[int, int] | None,
@@ -51,7 +58,7 @@ def predict(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Match a pair: disparity and picture, with --rig depth and points.
+    """Match a pair: disparity and picture, with --rig depth, points and mesh.
 
     The disparity is written as 16-bit PNG (x 256, as KITTI's), PFM and NPY.
     """
@@ -59,12 +66,15 @@ def predict(
     import sys
     from dataclasses import asdict
 
-    depth_files, point_files = depth or [], points or []
-    if not cameras.given and (depth_files or point_files):
-        raise InputError(f"depth and points need {WAYS_TO_METRES}")
-    if cameras.given and not (cameras.rig or depth_files or point_files or rerun):
-        raise InputError("a calibration is for --depth, --points or --rerun FILE: add one of them")
-    filters.require(bool(depth_files or point_files or rerun))
+    depth_files, point_files, mesh_files = depth or [], points or [], mesh or []
+    metric_files = [*depth_files, *point_files, *mesh_files]
+    if not cameras.given and metric_files:
+        raise InputError(f"depth, points and meshes need {WAYS_TO_METRES}")
+    if cameras.given and not (cameras.rig or metric_files or rerun):
+        raise InputError(
+            "a calibration is for --depth, --points, --mesh or --rerun FILE: add one of them"
+        )
+    filters.require(bool(metric_files or rerun))
 
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
@@ -78,17 +88,17 @@ def predict(
 
     maps = (output / f"{left.stem}_{name}" for name in MAP_FILES.values())
     pictured = [output / f"{left.stem}_depth_picture.png"] if depth_files else []
-    check_outputs(*maps, *pictured, *depth_files, *point_files)
+    check_outputs(*maps, *pictured, *metric_files)
     rectifier = cameras.read()
     pair = load_pair(left, right, layout=views.layout)
     pair = put_right(pair, views.views, rectifier, shift=options.shift)
-    deep = cameras.given and bool(depth_files or point_files or rerun)
+    deep = cameras.given and bool(metric_files or rerun)
     sound = views.report(pair.findings, metric=deep)
     cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
     matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
     log = None if rerun is None else RerunLog(rerun)
-    for folder in {output, *(path.parent for path in (*depth_files, *point_files))}:
+    for folder in {output, *(path.parent for path in metric_files)}:
         make_folder(folder)
     result = matcher.match(pair)
     calibration = calibration or cameras.scaled(result)
@@ -110,6 +120,11 @@ def predict(
         for file in point_files:
             cloud.save(file)
             _list(files, f"points{file.suffix}", file)
+    if calibration is not None and mesh_files:
+        surface = result.mesh(calibration)
+        for file in mesh_files:
+            surface.save(file)
+            _list(files, f"mesh{file.suffix}", file)
     if log is not None:
         with log:
             log.write(StereoFrame(0, left.stem, 0.0, pair), result, calibration)

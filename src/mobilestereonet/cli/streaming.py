@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from mobilestereonet.cli.calibration import CalibrationOptions
+from mobilestereonet.cli.calibration import WAYS_TO_METRES, CalibrationOptions
+from mobilestereonet.cli.early import BAG_ENDINGS
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import PairBy
@@ -134,6 +136,12 @@ class MatchedStream:
         findings, stream = look_at_stream(stream, views.views, rectifier, shift=options.shift)
         deep = rectifier is not None or stream.calibration is not None
         views.report(findings, metric=deep and metric)
+        if not deep:
+            if filters.max_depth < float("inf"):
+                raise InputError("--max-depth needs --rig FILE, or --focal and --baseline")
+            if stream.topics or any(path.suffix in BAG_ENDINGS for path in outputs):
+                told = "no calibration, so disparities and no depth: that needs"
+                print(f"msnet: {left}: {told} {WAYS_TO_METRES}", file=sys.stderr)
         if hz is None:
             return cls(stream, filters.open_matcher(options, confidence=confidence), deep)
         matcher, stream = _matcher_for_rate(hz, stream, options, filters)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -214,6 +215,18 @@ def findings_of(pair: StereoPair) -> tuple[Finding, ...]:
 def problems(findings: Iterable[Finding]) -> list[Finding]:
     """Findings with which there is no sensible result."""
     return [finding for finding in findings if finding.level == "problem"]
+
+
+def warn_of(findings: Iterable[Finding], stacklevel: int = 2) -> None:
+    """Warn of what was put right, and of what leaves no sensible result.
+
+    Args:
+        findings: What was found at a pair.
+        stacklevel: Whose line the warnings show: 1 is the caller's.
+    """
+    for finding in findings:
+        if finding.level in ("fixed", "problem"):
+            warnings.warn(str(finding), stacklevel=stacklevel + 1)
 
 
 def _with_calibration(pair: StereoPair, rectifier: Rectifier | None) -> StereoPair:

@@ -16,7 +16,7 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.engines.base import Engine
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
-from mobilestereonet.inference.first_look import findings_of, put_right
+from mobilestereonet.inference.first_look import findings_of, put_right, warn_of
 from mobilestereonet.inference.pair import (
     ImageLike,
     StereoPair,
@@ -271,7 +271,8 @@ class StereoMatcher(TensorMatcher):
                 at the first one alone.
 
         Returns:
-            The result, in the size of the views; its findings say what the look found.
+            The result, in the size of the views; its findings say what the look found, and a
+            warning what was put right or leaves no sensible result.
 
         Raises:
             FileNotFoundError: If a file does not exist.
@@ -289,7 +290,9 @@ class StereoMatcher(TensorMatcher):
                 max_disparity=self.max_disparity,
                 shift=self.shift,
             )
-        return self.match(pair)
+        result = self.match(pair)
+        warn_of(result.findings)
+        return result
 
     def match(self, pair: StereoPair) -> StereoResult:
         """Match a pair that `load_pair` has read and checked."""
@@ -312,7 +315,10 @@ class StereoMatcher(TensorMatcher):
             InputError: If a view is not as it should be, or the sizes differ.
         """
         loaded = load_batch(pairs)
-        return self._match(loaded) if loaded else []
+        results = self._match(loaded) if loaded else []
+        for result in results:
+            warn_of(result.findings)
+        return results
 
     def stream(
         self, source: Source, *, rig: RigLike | None = None, drop: bool = False, **options: Any

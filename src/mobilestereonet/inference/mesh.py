@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 MESH_FORMATS = (".glb", ".obj", ".stl")
 
+MAX_VERTICES = 250_000
+"""Vertices up to which a mesh has one for every pixel unless asked otherwise: a file of 15 MB."""
+
 _Y_UP = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]], np.float32)
 """Camera frame to y up and z backward, as GLB and OBJ have it."""
 

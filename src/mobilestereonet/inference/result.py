@@ -18,6 +18,7 @@ from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
 from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
 from mobilestereonet.inference.finding import Finding
+from mobilestereonet.inference.first_look import problems
 from mobilestereonet.inference.geometry import (
     PointCloud,
     depth_edges,
@@ -26,7 +27,7 @@ from mobilestereonet.inference.geometry import (
     point_map,
 )
 from mobilestereonet.inference.map_files import save_maps
-from mobilestereonet.inference.mesh import Mesh, surface
+from mobilestereonet.inference.mesh import MAX_VERTICES, Mesh, surface
 from mobilestereonet.inference.run_info import RunInfo
 from mobilestereonet.plots import colour_disparity, depth_picture, plot_maps, side_by_side
 
@@ -80,6 +81,7 @@ class StereoResult:
         parts = [f"{width}x{height}", span]
         if self.info is not None:
             parts += [self.info.model, self.info.engine, self.info.precision]
+        parts += [f"problem: {finding.text}" for finding in problems(self.findings)]
         return f"StereoResult({', '.join(parts)})"
 
     def _repr_png_(self) -> bytes:
@@ -177,7 +179,7 @@ class StereoResult:
         max_depth: float = math.inf,
         min_confidence: float = 0.0,
         edges: bool = False,
-        step: int = 1,
+        step: int | None = None,
     ) -> Mesh:
         """Textured surface in the left camera's frame, cut at depth edges.
 
@@ -189,12 +191,15 @@ class StereoResult:
             max_depth: What is farther is left out, in metres.
             min_confidence: What is less confident is left out.
             edges: True joins the two sides of depth edges, too.
-            step: Every how many pixels there is a vertex: 2 makes the file a quarter as large.
+            step: Every how many pixels there is a vertex: 2 makes the file a quarter as large. By
+                default the smallest that gives at most `MAX_VERTICES`.
 
         Raises:
             InputError: If the calibration is known to be of another size, ``step`` is below 1, or
                 ``min_confidence`` is asked for where the confidence is not known.
         """
+        if step is None:
+            step = math.ceil(math.sqrt(self.disparity.size / MAX_VERTICES))
         if step < 1:
             raise InputError(f"step must be 1 or more, got {step}")
         calibration = self._geometry(calibration)

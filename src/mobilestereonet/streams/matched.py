@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import Rectifier, StereoMatcher, StereoResult
-from mobilestereonet.inference.first_look import ViewOptions
+from mobilestereonet.inference.first_look import ViewOptions, warn_of
 from mobilestereonet.streams.batch import match_frames
 from mobilestereonet.streams.look import look_at_stream
 from mobilestereonet.streams.open import open_stream
@@ -68,7 +68,8 @@ def match_stream(
         raw = rectifier is not None and rectifier.rectifies
         source = open_stream(str(source), rectify=not raw, **options)
     views = ViewOptions(layout=options.get("layout"))
-    _, stream = look_at_stream(source, views, rectifier, shift=matcher.shift)
+    findings, stream = look_at_stream(source, views, rectifier, shift=matcher.shift)
+    warn_of(findings)
     stream = as_live(stream) if drop else stream
     frames = stream.frames if stream.live else prefetch(stream.frames)
     with closing(frames):

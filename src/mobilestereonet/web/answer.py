@@ -34,9 +34,6 @@ depth is poor, would make the rest look tiny."""
 MAX_SHOWN_POINTS = 400_000
 """Points that a browser turns smoothly; the PLY has all of them."""
 
-MAX_MESH_VERTICES = 250_000
-"""Vertices of the surface, above which only every other pixel has one, or fewer."""
-
 CLOUD = "stereo_points.glb"
 """File of an answer's points for the browser, if there is any."""
 
@@ -169,8 +166,7 @@ def _write(
     try:
         points.save(folder / "stereo_points.ply")
         _thinned(points).save(folder / CLOUD)
-        step = math.ceil(math.sqrt(height * width / MAX_MESH_VERTICES))
-        result.mesh(known, step=step, **limits).save(folder / MESH)
+        result.mesh(known, **limits).save(folder / MESH)
         downloads["blender"] = folder / MESH
     except InputError:
         notes.append("3D: no surface is as near and as sure as asked for")
