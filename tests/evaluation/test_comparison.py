@@ -206,6 +206,11 @@ def test_compare_command(tmp_path, pairs, msnet, monkeypatch):
     assert [float(row["EPE (px)"]) for row in rows[:2]] == [1.5, 3]
     assert float(rows[0]["EPE (px) std"]) == pytest.approx(0.5**0.5)
     assert float(rows[2]["EPE (px)"]) == 4
+    code, of_folder, err = msnet("compare", runs, "--format", "csv", *pairs)
+    assert (code, [row["seeds"] for row in csv.DictReader(io.StringIO(of_folder))]) == (
+        0,
+        ["2", "1"],
+    )
     weights = [options.weights for options in opened[:3]]
     assert weights == [runs / name / "weights.safetensors" for name in ("a", "b", "slow")]
     assert opened[3] == MatcherOptions(model="sgbm")

@@ -131,6 +131,8 @@ def test_what_needs_scores_is_refused(files):
     plain = default_recipe("psmnet")  # it has no estimator to choose
     assert (plain.model, plain.net, plain.full_heads) == ("psmnet", {}, None)
     StereoModule(plain, 1, 1)
+    both = default_recipe("msnet2d", model)  # what the two of a comparison take
+    assert (both.model, both.net, both.cross_entropy) == ("msnet2d", {}, 0)
     for values, words in (
         ({"cross_entropy": 5.0}, "cross_entropy need.*--set cross_entropy=0"),
         ({"full_heads": 1}, "full_heads need.*--set full_heads=null"),

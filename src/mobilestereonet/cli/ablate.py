@@ -12,10 +12,9 @@ from mobilestereonet.cli.early import (
     check_network,
     check_network_values,
     one_of,
-    recipe_name,
     recipe_value,
 )
-from mobilestereonet.cli.options import RECIPE_KINDS
+from mobilestereonet.cli.options import Recipe
 from mobilestereonet.cli.table_options import TableOptions
 from mobilestereonet.cli.training_options import RecipeOptions, TrainerOptions
 from mobilestereonet.settings import parse_variations
@@ -51,7 +50,7 @@ def ablate(
             metavar="<n>", min=1, help="Runs of each: the recipe's seed and those after it."
         ),
     ] = 1,
-    recipe: Annotated[str, typer.Option(help=RECIPE_KINDS, callback=recipe_name)] = "procedural",
+    recipe: Recipe = None,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Length of each run in place of the recipe's.")
     ] = None,
@@ -69,20 +68,22 @@ def ablate(
         check_network("--models", name)
     variations = parse_variations(vary or [])
     values = options.values
-    if not recipe.endswith(".json"):  # whose network may be the user's own
+    if not (recipe or "").endswith(".json"):  # whose network may be the user's own
         given = [name[4:] for name in (*values, *variations) if name.startswith("net.")]
         check_network_values(models, given)
 
     from mobilestereonet.paper.ablate import ablate as run
     from mobilestereonet.paper.ablate import ablation_table, table_models, variants
-    from mobilestereonet.training.named_recipes import get_recipe
+    from mobilestereonet.training.named_recipes import default_recipe, get_recipe
     from mobilestereonet.training.recipe import override
 
     if steps is not None:
         values |= {"steps": steps, "epochs": None, "duration": None}
-    chosen = override(get_recipe(recipe), values)
-    of_table = table_models(table or "2") if table or not vary else [chosen.model]
-    runs = variants(chosen, chosen_names or of_table, variations, seeds)
+    names = chosen_names or (table_models(table or "2") if table or not vary else [])
+    models_of_default = names or [str(values.get("model", "msnet2d"))]
+    chosen = default_recipe(*models_of_default) if recipe is None else get_recipe(recipe)
+    chosen = override(chosen, values)
+    runs = variants(chosen, names or [chosen.model], variations, seeds)
     tables.prepare()
     rows = []
     for row in run(runs, folder, **vars(trainer)):

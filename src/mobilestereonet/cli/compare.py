@@ -58,7 +58,7 @@ def compare(
         refine=refine,
         settings=scoring.of_networks,
     )
-    runs, others = _sort(sources)
+    runs, others = _sort([run for source in sources for run in _runs_of(source)])
 
     from mobilestereonet.training.named_recipes import read_recipe
     from mobilestereonet.training.seeds import group_by_seed
@@ -83,6 +83,14 @@ def compare(
         for row, names in zip(rows, members, strict=True)
     }
     tables.show(scoring.table(groups, networks, printed))
+
+
+def _runs_of(source: str) -> list[str]:
+    """The runs in the folder of an ablation; anything else as it is."""
+    path = Path(source)
+    if (path / "recipe.json").is_file():
+        return [source]
+    return sorted(str(recipe.parent) for recipe in path.glob("*/recipe.json")) or [source]
 
 
 def _sort(sources: list[str]) -> tuple[list[Path], list[str]]:

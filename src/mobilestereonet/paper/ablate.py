@@ -237,18 +237,21 @@ def ablation_table(rows: Iterable[AblationRow], recipe: Recipe) -> ResultTable:
     pairs = max((row.pairs for group in groups.values() for row in group), default=0)
     counted = f"{recipe.steps} steps" if recipe.steps else f"{recipe.epochs} epochs"
     seeds = max((len(group) for group in groups.values()), default=0)
-    notes = (
-        "Per-image means, measured here and printed in the paper (20 epochs of SceneFlow, its test "
-        "set). Other data and another budget: compare the order of the rows, not the figures."
-    )
+    printed = printed_errors("sceneflow")
+    printed = {label: printed[label] for label in groups if label in printed}
+    notes = "Per-image means."
+    if printed:
+        notes += (
+            " Paper: 20 epochs of SceneFlow, its test set. Other data and another budget: compare "
+            "the order of the rows, not the figures."
+        )
     if seeds < 2:
         notes += " It is one seed: differences that another seed would turn around are none."
-    printed = printed_errors("sceneflow")
     return comparison_table(
         {label: [row.figures for row in group] for label, group in groups.items()},
         PAPER_COLUMNS,
         title=f"{recipe.duration or counted} of {recipe.batch_size} pairs on {recipe.data}, "
         f"scored on {pairs} pairs",
         notes=notes,
-        printed={label: printed.get(label, {}) for label in groups},
+        printed=printed or None,
     )

@@ -117,7 +117,7 @@ _ERROR_TABLES: dict[str, dict[str, tuple[str, ...]]] = {
 
 PRINTED_ON = (
     "Paper: means over the images as its authors measured them, on the test split of SceneFlow or "
-    "on 40 validation pairs of KITTI 2015 (--split val)."
+    "on 40 validation pairs of KITTI 2015 (--split val), of networks trained on those data sets."
 )
 """What the figures of `printed_errors` are."""
 

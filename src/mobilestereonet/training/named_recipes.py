@@ -49,25 +49,32 @@ def get_recipe(name: str) -> Recipe:
     return RECIPES[name]
 
 
-def default_recipe(model: str) -> Recipe:
-    """The recipe "procedural" if a network takes all of its values, else "procedural-plain".
+def default_recipe(*models: str) -> Recipe:
+    """The recipe "procedural" if networks take all of its values, else "procedural-plain".
 
-    The crop is the recipe's, enlarged to the sizes that the network takes.
+    The crop is the recipe's, enlarged to the sizes that the networks take.
 
     Args:
-        model: Name of the network, see `Recipe`.
+        *models: Names of the networks, see `Recipe`; the recipe has the first one's.
 
     Raises:
         FileNotFoundError: If there is no such file of a network of the user's own.
-        InputError: If the name is unknown.
+        InputError: If a name is unknown.
     """
-    network, recipe = model_info(model).network, RECIPES["procedural"]
+    recipe = RECIPES["procedural" if all(map(_takes_procedural, models)) else "procedural-plain"]
+    augment = recipe.augment
+    for model in models:
+        augment = _enlarged_crop(augment, model_info(model).network)
+    return dataclasses.replace(recipe, model=models[0], augment=augment)
+
+
+def _takes_procedural(model: str) -> bool:
+    """Whether a network takes all values of the recipe "procedural"."""
+    network = model_info(model).network
     known = {part.name for part in dataclasses.fields(model_config(model))}
     has_zero_residuals = network.zero_residuals is not StereoModel.zero_residuals
     fits = issubclass(network, VolumeModel) and has_zero_residuals
-    name = "procedural" if fits and recipe.net.keys() <= known else "procedural-plain"
-    augment = _enlarged_crop(RECIPES[name].augment, network)
-    return dataclasses.replace(RECIPES[name], model=model, augment=augment)
+    return fits and RECIPES["procedural"].net.keys() <= known
 
 
 def _enlarged_crop(augment: AugmentConfig, network: type[StereoModel]) -> AugmentConfig:
