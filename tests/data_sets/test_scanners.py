@@ -508,6 +508,8 @@ def test_pair_folder_wildcards_and_scale(tmp_path):
 
 def test_missing_files_are_named(tmp_path):
     name = put_kitti(tmp_path / "training", 7, 2015)
+    with pytest.raises(FileNotFoundError, match=r"1 frames found .* none of this split: .*train"):
+        KITTI2015(tmp_path, "val")
     (tmp_path / "training" / "disp_occ_0" / name).unlink()
     with pytest.raises(FileNotFoundError, match=r"image_2/000007_10.*disp_occ_0/000007_10"):
         KITTI2015(tmp_path)

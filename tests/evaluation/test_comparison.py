@@ -2,6 +2,7 @@ import csv
 import dataclasses
 import io
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -214,6 +215,18 @@ def test_compare_command(tmp_path, pairs, msnet, monkeypatch):
     weights = [options.weights for options in opened[:3]]
     assert weights == [runs / name / "weights.safetensors" for name in ("a", "b", "slow")]
     assert opened[3] == MatcherOptions(model="sgbm")
+
+
+def test_a_run_beside_the_weights_of_its_network(tmp_path, pairs, msnet, monkeypatch):
+    wrong = SimpleNamespace(model="msnet2d", disparity=lambda left, _: torch.ones_like(left[:, 0]))
+    monkeypatch.setattr(MatcherOptions, "open_matcher", lambda *_, **__: wrong)
+    _run(tmp_path / "mine", 0)
+    code, out, _ = msnet("compare", tmp_path / "mine", "msnet2d", "--format", "csv", *pairs)
+    assert code == 0
+    assert [row["model"] for row in csv.DictReader(io.StringIO(out))] == [
+        "msnet2d (mine)",
+        "msnet2d",
+    ]
 
 
 def test_compare_refuses_what_is_no_run(tmp_path, pairs, msnet):

@@ -37,6 +37,8 @@ def test_a_loop_over_folders(matcher, sequence):
     assert isinstance(result, StereoResult)
     with pytest.raises(TypeError, match="rihgt"):
         next(matcher.stream(str(sequence / "left"), rihgt=str(sequence / "right")))
+    with pytest.raises(InputError, match="the source is the left view"):
+        next(matcher.stream(str(sequence), left="left", right="right"))
 
 
 def test_a_loop_that_ends_early_closes_its_source(matcher, sequence):

@@ -67,7 +67,12 @@ def compare(
     grouped = group_by_seed(recipes)
     pairs, printed = scoring.open(), scoring.printed()
     tables.prepare()
-    rows = distinct([*grouped, *others])
+    # A run beside the embedded weights of its network is called after its folder, too.
+    labels = (
+        f"{label} ({Path(names[0]).name})" if label in others else label
+        for label, names in grouped.items()
+    )
+    rows = distinct([*labels, *others])
     members = [*grouped.values(), *([source] for source in others)]
     matchers = {
         name: scoring.open_matcher(_of_source(options, name, recipes.get(name)))

@@ -240,7 +240,10 @@ def _order(disparity: Points, lowest: float) -> Finding:
     negative = float(np.mean(disparity < lowest - 1))
     shift = -float(np.percentile(disparity, 1))
     remedy = f"rectify, or let the search begin there (--shift {-math.ceil(shift) - _SPARE_PX})"
-    converge = f"the cameras converge, or the views are cropped differently: {remedy}"
+    converge = (
+        "the cameras converge, the views are cropped differently, or they are in the wrong order "
+        f"(--order right-left): {remedy}"
+    )
     if is_swapped(disparity - lowest):
         text = f"{negative:.0%} of the features move to the right, seen from the left view"
         advice = (

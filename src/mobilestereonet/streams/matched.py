@@ -65,6 +65,10 @@ def match_stream(
                 "them to open_stream"
             )
     else:
+        if "left" in options:
+            raise InputError(
+                "stream(source, right=...): the source is the left view, leave left out"
+            )
         raw = rectifier is not None and rectifier.rectifies
         source = open_stream(str(source), rectify=not raw, **options)
     views = ViewOptions(layout=options.get("layout"))

@@ -83,6 +83,13 @@ class StereoDataSet(Dataset[StereoSample], ABC):
             self.frames = [replace(frame, disparity=None) for frame in self.frames]
         if not self.frames:
             looked_for = ", ".join(self.patterns())
+            count = sum(1 for pattern in self.patterns() for _ in visible(self.root, pattern))
+            if count:
+                others = ", ".join(split for split in self.splits if split != self.split)
+                raise NothingFoundError(
+                    f"{self}: {count} frames found in {self.root}, but none of this split: choose "
+                    f"another one ({others})"
+                )
             raise NothingFoundError(
                 f"{self}: nothing found in {self.root}: no {looked_for}; {_content(self.root)}"
             )
