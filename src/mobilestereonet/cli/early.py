@@ -83,7 +83,8 @@ PAIR_BY = ("name", "order", "nearest")
 UNITS = ("m", "cm", "mm")
 """Units of lengths in a calibration."""
 
-DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff")
+FLOAT_ENDINGS = (".npy", ".tif", ".tiff")
+DEPTH_ENDINGS = (".png", *FLOAT_ENDINGS)
 POINTS_ENDINGS = (".ply", ".glb")
 MESH_ENDINGS = (".glb", ".obj", ".stl")
 VIDEO_ENDINGS = (".mp4", ".mkv", ".mov")

@@ -35,8 +35,10 @@ PANELS = {
         *("refine", "left_right", "min_confidence", "max_depth", "keep_edges", "force"),
     ),
     "Output": (
-        *("output", "frames", "write", "depth", "points", "mesh", "confidence", "show", "beside"),
+        *("output", "frames", "write", "depth", "depth_std", "points", "mesh", "confidence"),
         *(
+            "show",
+            "beside",
             "bag",
             "rerun",
             "pictures",

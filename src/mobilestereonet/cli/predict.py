@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 
 from mobilestereonet.cli.calibration import WAYS_TO_METRES, CalibrationOptions
-from mobilestereonet.cli.early import DEPTH_ENDINGS, MESH_ENDINGS, POINTS_ENDINGS, ends_in
+from mobilestereonet.cli.early import (
+    DEPTH_ENDINGS,
+    FLOAT_ENDINGS,
+    MESH_ENDINGS,
+    POINTS_ENDINGS,
+    ends_in,
+)
 from mobilestereonet.cli.engine import MatcherOptions
 from mobilestereonet.cli.filters import FilterOptions
 from mobilestereonet.cli.options import AsJson, LeftView, SecondView, new_output
@@ -35,6 +41,13 @@ def predict(
             help="Depth file: .png (16-bit mm), .npy or .tiff (m). Repeat for more. The folder of "
             "--output gets it in colours, with a bar in metres.",
             callback=ends_in(DEPTH_ENDINGS, "depth is"),
+        ),
+    ] = None,
+    depth_std: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Standard deviation of the depth, from the confidence: .npy or .tiff (m).",
+            callback=ends_in(FLOAT_ENDINGS, "a standard deviation is"),
         ),
     ] = None,
     points: Annotated[
@@ -66,8 +79,9 @@ def predict(
     import sys
     from dataclasses import asdict
 
-    depth_files, point_files, mesh_files = depth or [], points or [], mesh or []
-    metric_files = [*depth_files, *point_files, *mesh_files]
+    depth_files, std_files = depth or [], depth_std or []
+    point_files, mesh_files = points or [], mesh or []
+    metric_files = [*depth_files, *std_files, *point_files, *mesh_files]
     if not cameras.given and metric_files:
         raise InputError(f"depth, points and meshes need {WAYS_TO_METRES}")
     if cameras.given and not (cameras.rig or metric_files or rerun):
@@ -79,7 +93,9 @@ def predict(
     from mobilestereonet.atomic import check_outputs, make_folder
     from mobilestereonet.data.depth_files import write_depth
     from mobilestereonet.data.files import write_png
+    from mobilestereonet.engines.base import confidence_fit
     from mobilestereonet.inference import load_pair
+    from mobilestereonet.inference.deviation import check_fitted
     from mobilestereonet.inference.first_look import put_right
     from mobilestereonet.inference.map_files import MAP_FILES
     from mobilestereonet.inference.span import Span
@@ -96,7 +112,11 @@ def predict(
     sound = views.report(pair.findings, metric=deep)
     cameras.check_size(pair.width, pair.height)
     calibration = pair.calibration
-    matcher = filters.open_matcher(options, tile=tile or "auto", confidence=confidence)
+    matcher = filters.open_matcher(
+        options, tile=tile or "auto", confidence=confidence or bool(std_files)
+    )
+    if std_files:
+        check_fitted(confidence_fit(matcher.engine) is not None, matcher.model)
     log = None if rerun is None else RerunLog(rerun)
     for folder in {output, *(path.parent for path in metric_files)}:
         make_folder(folder)
@@ -115,6 +135,9 @@ def predict(
         for file in pictured:
             write_png(file, depth_picture(metres))
             files["depth_picture"] = str(file)
+        for file in std_files:
+            write_depth(file, result.depth_std(calibration))
+            _list(files, f"depth_std{file.suffix}", file)
     if calibration is not None and point_files:
         cloud = result.points(calibration)
         for file in point_files:

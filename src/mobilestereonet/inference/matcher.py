@@ -13,7 +13,7 @@ import torch
 
 from mobilestereonet.data.rig import Rig
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.engines.base import Engine
+from mobilestereonet.engines.base import Engine, confidence_fit
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
 from mobilestereonet.inference.first_look import findings_of, put_right, warn_of
@@ -381,6 +381,7 @@ class StereoMatcher(TensorMatcher):
             quality=self.quality,
             scale=self._scale,
             shift=self.shift,
+            confidence_fitted=confidence_fit(self.engine) is not None,
         )
         return [
             StereoResult(

@@ -16,6 +16,11 @@ from mobilestereonet.data.calibration import read_calibration
 from mobilestereonet.data.images import FloatMap, Mask, Picture
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError, needs_extra
+from mobilestereonet.inference.deviation import (
+    check_fitted,
+    depth_deviation,
+    disparity_deviation,
+)
 from mobilestereonet.inference.filter import NO_LIMITS, MetricFilter
 from mobilestereonet.inference.finding import Finding
 from mobilestereonet.inference.first_look import problems
@@ -120,6 +125,59 @@ class StereoResult:
             InputError: If the calibration is known to be of another size, or there is none, or
                 there are two; or if the filter needs a confidence that is not known.
         """
+        return self._depth(self._geometry(calibration, focal, baseline, doffs), edges=True)
+
+    def depth_std(
+        self,
+        calibration: Calibration | str | Path | None = None,
+        *,
+        focal: float | None = None,
+        baseline: float | None = None,
+        doffs: float = 0.0,
+    ) -> FloatMap:
+        """Standard deviation of `depth`, from the confidence, see `disparity_std`.
+
+        It is that of the disparity through its slope, so it grows with the square of the depth;
+        where it comes near the depth itself, nothing is known.
+
+        Args:
+            calibration: See `depth`, and so for those that follow.
+            focal: Likewise.
+            baseline: Likewise.
+            doffs: Likewise.
+
+        Returns:
+            (H, W) float32 in metres, 0 where the depth is not known.
+
+        Raises:
+            InputError: As `depth` and `disparity_std`.
+        """
+        geometry = self._geometry(calibration, focal, baseline, doffs)
+        depth = self._depth(geometry, edges=True)
+        return depth_deviation(depth, self.disparity, self.disparity_std(), geometry.doffs)
+
+    def disparity_std(self) -> FloatMap:
+        """Standard deviation of the disparity in px, (H, W), from the confidence alone.
+
+        That of the Laplace distribution whose error is below 3 px as probably as the confidence
+        says; the errors themselves were not fitted, see `disparity_deviation`.
+
+        Raises:
+            InputError: If the confidence is not known, or no probability of an error.
+        """
+        if self.confidence is None:
+            raise InputError("a standard deviation needs a matcher with confidence=True")
+        if self.info is not None:
+            check_fitted(self.info.confidence_fitted, self.info.model)
+        return disparity_deviation(self.confidence)
+
+    def _geometry(
+        self,
+        calibration: Calibration | str | Path | None,
+        focal: float | None = None,
+        baseline: float | None = None,
+        doffs: float = 0.0,
+    ) -> Calibration:
         if calibration is not None and (focal is not None or baseline is not None or doffs):
             raise InputError("depth takes a calibration, or focal and baseline: leave one out")
         if focal is not None or baseline is not None or doffs:
@@ -127,10 +185,7 @@ class StereoResult:
                 raise InputError(
                     "depth needs a calibration, or focal= (px) and baseline= (m), both of them"
                 )
-            calibration = Calibration(focal=focal, baseline=baseline, doffs=doffs)
-        return self._depth(calibration, edges=True)
-
-    def _geometry(self, calibration: Calibration | str | Path | None) -> Calibration:
+            return Calibration(focal=focal, baseline=baseline, doffs=doffs)
         if isinstance(calibration, str | Path):
             return read_calibration(calibration)
         calibration = calibration or self.calibration

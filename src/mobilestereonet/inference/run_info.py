@@ -21,6 +21,8 @@ class RunInfo:
         quality: Quality level that chose the model and its settings; None where none did.
         scale: Factor of height and width in which the pair was matched.
         shift: Disparity from which the search began, in px.
+        confidence_fitted: Whether its confidence is the probability of an error below 3 px, or
+            would be.
     """
 
     model: str
@@ -34,6 +36,7 @@ class RunInfo:
     quality: str | None = None
     scale: float = 1.0
     shift: int = 0
+    confidence_fitted: bool = False
 
     def __str__(self) -> str:
         model = f"{self.quality} ({self.model})" if self.quality else self.model
