@@ -1,13 +1,17 @@
 """`msnet bench` and what it is made of."""
 
 import math
+import re
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from small_networks import Direct, Scoring, make, make_msnet
 
-from mobilestereonet import save_weights
+from mobilestereonet import Calibration, save_weights
 from mobilestereonet.cli.early import QUALITIES
+from mobilestereonet.data.calibration import write_calibration
 from mobilestereonet.engines import benchmark, choose
 from mobilestereonet.engines.benchmark import EngineTime, fastest
 from mobilestereonet.engines.sgbm import StereoSGBM
@@ -75,6 +79,34 @@ def test_command_with_a_model_that_is_an_engine(msnet):
     assert code == 0
     assert "sgbm, 30x50" in out
     assert "--runtime" not in out
+
+
+def test_a_rig_tells_the_size_and_what_rectifying_takes(msnet, tmp_path, monkeypatch):
+    weights, raw, plain = (tmp_path / name for name in ("w.safetensors", "raw.yml", "calib.txt"))
+    save_weights(make_msnet(), weights)
+    camera = np.array([[60.0, 0, 30], [0, 60, 20], [0, 0, 1]])
+    storage = cv2.FileStorage(str(raw), cv2.FILE_STORAGE_WRITE)
+    turned = cv2.Rodrigues(np.array([0.0, 0.02, 0.03]))[0]
+    whole = {"M1": camera, "D1": np.zeros(5), "M2": camera, "D2": np.zeros(5), "R": turned}
+    whole |= {"T": np.array([-0.1, 0, 0]), "image_width": 60, "image_height": 40}
+    for name, value in whole.items():
+        storage.write(name, value)
+    storage.release()
+    write_calibration(plain, Calibration(60, 0.1, cx=30, cy=20), (60, 40))
+    monkeypatch.setattr(choose, "installed_engines", lambda device: [("torch", "fp32")])
+    command = ("bench", "--device", "cpu", "--repeats", 1)
+    code, out, _ = msnet(*command, "--weights", weights, "--rig", raw)
+    assert code == 0
+    assert "48x64, cpu" in out  # as predict pads it
+    assert re.search(r"\nrectifying a pair of 60x40 to 60x40: \d+\.\d ms\n$", out)
+    code, out, _ = msnet(*command, "--model", "sgbm", "--rig", plain)
+    assert code == 0 and "sgbm, 40x60" in out and "of rectified pictures" in out
+    code, out, err = msnet(*command, "--model", "sgbm", "--rig", plain, "--size", 80, 60)
+    assert (code, out) == (2, "") and "of pictures of 60x40, these have 60x80" in err
+    unsized = tmp_path / "unsized.txt"
+    unsized.write_text(plain.read_text().partition("width")[0])
+    code, out, err = msnet(*command, "--model", "sgbm", "--rig", unsized)
+    assert (code, out) == (2, "") and "tells no one size of its pictures: give --size" in err
 
 
 def test_the_quality_levels(msnet):
