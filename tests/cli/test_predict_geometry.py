@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mobilestereonet import create_model
+from mobilestereonet.weights import save_weights
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -64,6 +67,27 @@ def test_depth_points_and_mesh(msnet, folder):
     surface = trimesh.load(meshes[0]).to_mesh()
     assert np.median(surface.vertices[:, 2]) == pytest.approx(-2, abs=0.01)
     assert len(trimesh.load(meshes[2]).faces) == len(surface.faces) > 10000
+
+
+def test_the_depths_standard_deviation(msnet, folder):
+    views = folder / "left.png", folder / "right.png"
+    files = [folder / name for name in ("depth.npy", "std.npy", "std.tiff")]
+    options = [text for path in files[1:] for text in ("--depth-std", path)]
+    options += ["--depth", files[0], "--rig", folder / "calib.txt", "--min-confidence", 0.1]
+    command = ("predict", *views, "-o", folder / "out", "--model", "msnet2d")
+    code, out, err = msnet(*command, *options, "--json")
+    assert (code, err) == (0, "")
+    assert {str(path) for path in files} <= set(json.loads(out)["files"].values())
+    depth, found = map(np.load, files[:2])
+    assert ((found > 0) == (depth > 0)).all() and depth.any()
+    np.testing.assert_array_equal(cv2.imread(str(files[2]), cv2.IMREAD_UNCHANGED), found)
+    sure = np.load(folder / "out/left_confidence.npy")
+    assert np.median(found[sure > 0.9]) < np.median(found[(sure < 0.8) & (found > 0)])
+    save_weights(create_model("msnet2d", max_disparity=32), folder / "own.safetensors")
+    command = ("predict", *views, "-o", folder / "new", "--weights", folder / "own.safetensors")
+    code, out, err = msnet(*command, *options)
+    assert (code, out) == (2, "") and not (folder / "new").exists()
+    assert "is no probability of an error" in err and "msnet fit-confidence" in err
 
 
 def test_the_range_and_the_median_are_told(msnet, folder):
@@ -224,6 +248,9 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--depth", "d.exr"), "d.exr: depth is written as"),
         (("--points", "p.obj"), "p.obj: points are written as"),
         (("--confidence",), "sgbm has no confidence"),
+        (("--depth-std", "s.npy", "--calib", "calib.txt"), "sgbm has no confidence"),
+        (("--depth-std", "s.npy"), "depth and points need --rig FILE"),
+        (("--depth-std", "s.png"), "s.png: a standard deviation is written as .npy"),
     ],
 )
 def test_bad_input_writes_nothing(msnet, folder, options, message):

@@ -34,6 +34,46 @@ def test_depth_knows_the_difference_of_principal_points(result):
     np.testing.assert_allclose(depth[0], [0, 0, 1000], rtol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [0.4, 1.0, 5.0])
+def test_a_standard_deviation_is_of_errors_as_probable_as_the_confidence_says(result, scale):
+    errors = np.random.default_rng(0).laplace(0, scale, 400_000)
+    below = np.full((2, 3), np.mean(np.abs(errors) < 3), np.float32)
+    sure = replace(result, confidence=below)
+    np.testing.assert_allclose(sure.disparity_std(), errors.std(), rtol=0.04)
+    certain = replace(result, confidence=np.ones((2, 3), np.float32)).disparity_std()
+    assert (certain == 0.5).all() and certain.dtype == np.float32
+    assert np.isfinite(replace(result, confidence=0 * below).disparity_std()).all()
+
+
+@pytest.mark.parametrize("doffs", [0.0, 1.5])
+def test_the_depths_deviation_is_that_of_the_disparity_through_its_slope(result, doffs):
+    camera = Calibration(focal=1000, baseline=0.5, doffs=doffs)
+    sure = replace(result, confidence=np.full((2, 3), 0.99, np.float32))
+    found, depth, step = sure.depth_std(camera), sure.depth(camera), 1e-3
+    near, far = (
+        replace(result, disparity=result.disparity + d).depth(camera) for d in (step, -step)
+    )
+    there = result.disparity > 0.5
+    slope = (far - near) / (2 * step) * sure.disparity_std()
+    np.testing.assert_allclose(found[there], slope[there], rtol=3e-2)
+    assert found.dtype == np.float32 and ((found > 0) == (depth > 0)).all()
+    by_hand = sure.depth_std(focal=1000, baseline=0.5, doffs=doffs)
+    np.testing.assert_array_equal(by_hand, found)
+
+
+def test_a_standard_deviation_needs_a_confidence_that_is_fitted(result):
+    camera = Calibration(focal=1000, baseline=0.5)
+    with pytest.raises(InputError, match="needs a matcher with confidence=True"):
+        result.depth_std(camera)
+    info = RunInfo("own", "torch", "bf16", "cpu", True, 3, 2, 1 / 3)
+    sure = replace(result, confidence=np.full((2, 3), 0.9, np.float32), info=info)
+    with pytest.raises(InputError, match=r"of own is no probability of an error.*fit-confidence"):
+        sure.depth_std(camera)
+    assert replace(sure, info=replace(info, confidence_fitted=True)).depth_std(camera).any()
+    with pytest.raises(InputError, match="needs a calibration"):
+        replace(sure, info=None).depth_std()
+
+
 def test_a_calibration_is_taken_by_its_path(result, tmp_path):
     calibration = Calibration(focal=100.0, baseline=0.1, cx=1.0, cy=1.0)
     write_calibration(tmp_path / "calib.txt", calibration, result.disparity.shape[::-1])
