@@ -249,7 +249,7 @@ def test_one_picture_twice_is_warned_of(msnet, folder):
         (("--points", "p.obj"), "p.obj: points are written as"),
         (("--confidence",), "sgbm has no confidence"),
         (("--depth-std", "s.npy", "--calib", "calib.txt"), "sgbm has no confidence"),
-        (("--depth-std", "s.npy"), "depth and points need --rig FILE"),
+        (("--depth-std", "s.npy"), "points and meshes need --rig FILE"),
         (("--depth-std", "s.png"), "s.png: a standard deviation is written as .npy"),
     ],
 )
