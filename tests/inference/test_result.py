@@ -1,3 +1,4 @@
+import warnings
 from dataclasses import replace
 
 import cv2
@@ -110,6 +111,10 @@ def test_depth_is_always_finite():
     disparity = np.array([[0, np.nan, np.inf, 1e-38, -3]], np.float32)
     result = StereoResult(np.zeros((1, 5, 3), np.uint8), disparity, np.isfinite(disparity))
     np.testing.assert_array_equal(result.depth(Calibration(1000, 0.5)), np.zeros((1, 5)))
+    far = replace(result, disparity=np.full((1, 5), 2, np.float32), valid=disparity >= 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not far.depth(focal=1e308, baseline=0.1).any()  # no float32 can hold it
 
 
 def test_saved_files_hold_the_disparity(result, tmp_path):

@@ -33,7 +33,7 @@ def depth_from_disparity(disparity: FloatMap, valid: Mask, calibration: Calibrat
 
     Returns:
         (H, W) float32 in metres. Never NaN or infinite: 0 where it is not known, which is where
-        ``valid`` is False or the disparity (plus ``doffs``) is below 1/256 px.
+        ``valid`` is False, the disparity (plus ``doffs``) is below 1/256 px, or float32 ends.
 
     Raises:
         InputError: If the calibration is known to be of another size.
@@ -42,8 +42,10 @@ def depth_from_disparity(disparity: FloatMap, valid: Mask, calibration: Calibrat
     calibration.require_size(width, height)
     shifted = disparity + np.float32(calibration.doffs)
     known = valid & (shifted >= MIN_DISPARITY_PX)
-    depth = calibration.focal * calibration.baseline / np.where(known, shifted, 1)
-    return np.where(known, depth, 0).astype(np.float32)
+    with np.errstate(over="ignore"):
+        depth = calibration.focal * calibration.baseline / np.where(known, shifted, 1)
+        depth = depth.astype(np.float32)
+    return np.where(known & np.isfinite(depth), depth, np.float32(0))
 
 
 def depth_edges(disparity: FloatMap, valid: Mask) -> Mask:
