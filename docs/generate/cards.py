@@ -30,8 +30,7 @@ card, and `mobilestereonet.weights.card(NAME)` gives it as data.
 
 _FIGURES = """## Figures
 
-Development figures: the pairs chose the weights. They were measured when the version was made; the
-package's refinement has changed since, and [accuracy](../accuracy.md) has the figures of today.
+Development figures: the pairs chose the weights. [Accuracy](../accuracy.md) has more of them.
 Protocol: {protocol}.
 
 | pair | EPE, px | D1, % |
