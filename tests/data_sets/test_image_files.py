@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import simplejpeg
 from PIL import EpsImagePlugin, Image, PngImagePlugin
+from tifffile import imwrite
 
 from extras import SHARED, needs_shared
 from mobilestereonet.data import read_image
@@ -337,6 +338,12 @@ def test_a_zeroed_block_in_a_deflated_tiff(tmp_path, compression):
     path.write_bytes(content[:half] + bytes(60) + content[half + 60 :])
     with pytest.raises(InputError, match="not an image that is whole: its data is damaged"):
         read_image(path)
+
+
+def test_tiles_may_reach_far_beyond_the_picture(tmp_path):
+    band = np.random.default_rng(0).integers(0, 256, (16, 5000, 3), np.uint8)
+    imwrite(tmp_path / "a.tiff", band, tile=(512, 512), compression="zlib", photometric="rgb")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tiff"), band)
 
 
 def test_a_deflated_tiff_that_swells_is_refused_in_little_memory(tmp_path):

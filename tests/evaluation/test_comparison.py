@@ -224,7 +224,7 @@ def test_a_run_beside_the_weights_of_its_network(tmp_path, pairs, msnet, monkeyp
     code, out, _ = msnet("compare", tmp_path / "mine", "msnet2d", "--format", "csv", *pairs)
     assert code == 0
     assert [row["model"] for row in csv.DictReader(io.StringIO(out))] == [
-        "msnet2d (mine)",
+        f"msnet2d ({tmp_path / 'mine'})",
         "msnet2d",
     ]
 

@@ -10,6 +10,7 @@ import trimesh
 
 from mobilestereonet import Calibration, StereoResult
 from mobilestereonet.errors import InputError
+from mobilestereonet.inference.mesh import fitting_step
 from mobilestereonet.plots import colour_disparity
 
 HEIGHT, WIDTH = 12, 20
@@ -68,6 +69,8 @@ def test_a_large_view_has_a_vertex_for_every_other_pixel():
     )
     assert len(plane.mesh(CALIBRATION).vertices) == 200 * 400
     assert len(plane.mesh(CALIBRATION, step=1).vertices) == 400 * 800
+    assert fitting_step(500, 500) == 1
+    assert fitting_step(999, 1001) == 3  # every second one would be 500 x 501
 
 
 def colours_at_vertices(mesh):

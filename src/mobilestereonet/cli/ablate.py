@@ -80,8 +80,8 @@ def ablate(
     if steps is not None:
         values |= {"steps": steps, "epochs": None, "duration": None}
     names = chosen_names or (table_models(table or "2") if table or not vary else [])
-    models_of_default = names or [str(values.get("model", "msnet2d"))]
-    chosen = default_recipe(*models_of_default) if recipe is None else get_recipe(recipe)
+    varied = variations.get("model") or [values.get("model", "msnet2d")]
+    chosen = default_recipe(*names or map(str, varied)) if recipe is None else get_recipe(recipe)
     chosen = override(chosen, values)
     runs = variants(chosen, names or [chosen.model], variations, seeds)
     tables.prepare()

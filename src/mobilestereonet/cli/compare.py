@@ -67,9 +67,9 @@ def compare(
     grouped = group_by_seed(recipes)
     pairs, printed = scoring.open(), scoring.printed()
     tables.prepare()
-    # A run beside the embedded weights of its network is called after its folder, too.
+    # A run beside the embedded weights of its network is told apart by its folder.
     labels = (
-        f"{label} ({Path(names[0]).name})" if label in others else label
+        f"{label} ({Path(names[0])})" if label in others else label
         for label, names in grouped.items()
     )
     rows = distinct([*labels, *others])

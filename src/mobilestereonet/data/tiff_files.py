@@ -16,8 +16,10 @@ _PARTS = ((273, 279), (324, 325))
 _BITS_TAG = 258
 _SAMPLES_TAG = 277
 
-_SMALLEST_PIXELS = 1 << 20
-"""Pixels that the tiles of any picture may have: they may be larger than the picture."""
+_TILE_SIZE_TAGS = (322, 323)
+
+_MAX_TILE_PIXELS = 1 << 20
+"""Pixels of a tile, beyond which the rest does not count: tiles may reach beyond the picture."""
 
 _STEP_BYTES = 1 << 20
 """Bytes that are inflated at once."""
@@ -37,7 +39,9 @@ def check_tiff(content: bytes, tags: Mapping[int, Any], pixels: int) -> None:
     if tags.get(_COMPRESSION_TAG) not in _DEFLATED:
         return
     bits = max(tags.get(_BITS_TAG, (1,))) * tags.get(_SAMPLES_TAG, 1)
-    left = max(2 * pixels, _SMALLEST_PIXELS) * bits // 8
+    width, height = (tags.get(tag, 0) for tag in _TILE_SIZE_TAGS)
+    tiled = len(tags.get(_PARTS[1][0], ())) * min(width * height, _MAX_TILE_PIXELS)
+    left = max(2 * pixels, tiled, _MAX_TILE_PIXELS) * bits // 8
     for places, sizes in _PARTS:
         for place, size in zip(tags.get(places, ()), tags.get(sizes, ()), strict=False):
             left -= _inflated_size(content[place : place + size], left)

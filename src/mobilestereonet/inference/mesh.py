@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -118,6 +119,12 @@ def check_mesh_file(path: str | Path) -> Path:
         raise InputError(f"{path}: meshes are written as {', '.join(MESH_FORMATS)}")
     check_outputs(path)
     return path
+
+
+def fitting_step(height: int, width: int) -> int:
+    """Every how many pixels there is a vertex at least, for at most `MAX_VERTICES`."""
+    steps = itertools.count(1)
+    return next(step for step in steps if -(-height // step) * -(-width // step) <= MAX_VERTICES)
 
 
 def surface(

@@ -32,7 +32,7 @@ from mobilestereonet.inference.geometry import (
     point_map,
 )
 from mobilestereonet.inference.map_files import save_maps
-from mobilestereonet.inference.mesh import MAX_VERTICES, Mesh, surface
+from mobilestereonet.inference.mesh import Mesh, fitting_step, surface
 from mobilestereonet.inference.run_info import RunInfo
 from mobilestereonet.plots import colour_disparity, depth_picture, plot_maps, side_by_side
 
@@ -254,7 +254,7 @@ class StereoResult:
                 ``min_confidence`` is asked for where the confidence is not known.
         """
         if step is None:
-            step = math.ceil(math.sqrt(self.disparity.size / MAX_VERTICES))
+            step = fitting_step(*self.disparity.shape)
         if step < 1:
             raise InputError(f"step must be 1 or more, got {step}")
         calibration = self._geometry(calibration)

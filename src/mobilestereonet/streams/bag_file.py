@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -62,6 +63,13 @@ class BagFile(BagWriter):
         self._messages = ResultMessages(self.make, max_disparity, max_depth)
         common = posixpath.commonpath(topics) if topics else ""
         self.namespace = common if common.strip("/") else "/stereo"
+        own = posixpath.join(self.namespace, "camera_info")
+        if own in self._taken:
+            warnings.warn(
+                f"{path}: without {own}, which is a topic of the source; the results' geometry is "
+                "in the disparity's messages (f, T)",
+                stacklevel=2,
+            )
 
     def write(
         self, frame: StereoFrame, result: StereoResult, calibration: Calibration | None

@@ -218,7 +218,7 @@ class ResultMessages:
     def camera_info(
         self, header: Any, result: StereoResult, calibration: Calibration, *, right: bool = False
     ) -> Any:
-        """The left view's `camera_info`, which is that of the disparity and the depth, too."""
+        """A rectified view's `camera_info`; the left one's is that of disparity and depth, too."""
         height, width = result.disparity.shape
         return camera_info(self.make, header, calibration, (width, height), right=right)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,11 +92,10 @@ class StereoBag:
             views = _image_topics(path, topics, left, right)
             for view in views:
                 _check_images(path, reader, view)
-            infos = {view: _camera_info(path, reader, topics, view) for view in views}
-        rig, views = _rig(path, infos)
+            infos = [_camera_info(path, reader, topics, view) for view in views]
         total = min(topics[view][1] for view in views)
         known = tuple(name for name, (kind, _) in topics.items() if kind == _CAMERA_INFO)
-        return cls(path, views, tolerance, total, rig, known)
+        return cls(path, views, tolerance, total, _rig(path, views, infos), known)
 
     @property
     def raw_rig(self) -> Rig | None:
@@ -249,33 +248,23 @@ def _camera_info(
     return _first_message(path, reader, topic)
 
 
-def _rig(path: Path, infos: dict[str, Any]) -> tuple[Rig | None, tuple[str, str]]:
-    """The rig that two cameras' messages give, and the topics of the left and the right one.
-
-    A warning says that they are in the other order than the messages have it, or why there is none.
-    """
-    left, right = infos
-    if None in infos.values():
-        return None, (left, right)
+def _rig(path: Path, views: tuple[str, str], infos: list[Any]) -> Rig | None:
+    """The rig that two cameras' messages give; a warning says why it is none."""
+    if None in infos:
+        return None
     try:
-        return rig_of(infos[left], infos[right]), (left, right)
+        return rig_of(*infos)
     except InputError as error:
-        problem = str(error)
-    try:
-        exchanged = rig_of(infos[right], infos[left])
-    except InputError:
+        advice = "give --focal and --baseline, or a --rig FILE"
+        with suppress(InputError):
+            rig_of(*reversed(infos))
+            advice = f"by it {views[1]} is the left view: exchange --left and --right"
         warnings.warn(
-            f"{path}: no depth from the camera_info of {left} and {right}: {problem}; give "
-            "--focal and --baseline, or a --calib FILE",
+            f"{path}: no depth from the camera_info of {views[0]} and {views[1]}: {error}; "
+            f"{advice}",
             stacklevel=3,
         )
-        return None, (left, right)
-    warnings.warn(
-        f"{path}: by their camera_info {right} is the left view and {left} the right one: they "
-        "have been exchanged",
-        stacklevel=3,
-    )
-    return exchanged, (right, left)
+        return None
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ class StereoDataSet(Dataset[StereoSample], ABC):
         if not self.frames:
             looked_for = ", ".join(self.patterns())
             count = sum(1 for pattern in self.patterns() for _ in visible(self.root, pattern))
-            if count:
+            if count and len(self.splits) > 1:
                 others = ", ".join(split for split in self.splits if split != self.split)
                 raise NothingFoundError(
                     f"{self}: {count} frames found in {self.root}, but none of this split: choose "
