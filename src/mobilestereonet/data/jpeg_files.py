@@ -32,8 +32,8 @@ def check_jpeg(content: bytes) -> bool:
     """Check that a JPEG has all its data, which OpenCV fills with grey where it has not.
 
     Returns:
-        Whether it could be checked: not if its colours are subsampled as TurboJPEG knows it not,
-        such as those of CMYK.
+        Whether it could be checked: False if TurboJPEG does not know how its colours are
+        subsampled, as of many JPEG files in CMYK.
 
     Raises:
         ValueError: If parts of it are missing or damaged.

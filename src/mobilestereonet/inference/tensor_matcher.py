@@ -31,8 +31,8 @@ class TensorMatcher:
     Attributes:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
-        padding: See `StereoMatcher`, and so for those that follow.
-        tile: Likewise.
+        padding: Height and width to which views are padded with zeros; None if they are not.
+        tile: Height and width of the tiles in which larger views are matched, or "auto".
         refine: Whether the disparity is refined.
         shift: Disparity from which the search begins, in px.
     """
