@@ -4,10 +4,12 @@ import asyncio
 import json
 import os
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from socket import gethostname
 from threading import Event
+from threading import enumerate as enumerate_threads
 from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -26,13 +28,16 @@ from mobilestereonet.web.uploads import UploadLimits
 
 gr = need_extra("gradio")
 
+from gradio import route_utils  # noqa: E402
+
 from mobilestereonet.web.handlers import (  # noqa: E402
+    PARTS,
     FieldError,
     Handlers,
     PageConfig,
     failed,
 )
-from mobilestereonet.web.page import build_page  # noqa: E402
+from mobilestereonet.web.page import _values, build_page  # noqa: E402
 from mobilestereonet.web.server import Guard, is_own_name, running  # noqa: E402
 
 PICTURE, OTHER = (
@@ -333,6 +338,13 @@ def put(folder, content, name="picture.png"):
     return {"path": str(path)}
 
 
+@contextmanager
+def refused(field, words):
+    with pytest.raises(FieldError, match=words) as error:
+        yield error
+    assert error.value.field == field
+
+
 def last(steps):
     """The parts that an event changes, in the end."""
     found = {}
@@ -353,7 +365,7 @@ def test_the_page_opens_with_a_result(act, monkeypatch):
     assert "msnet2d on torch fp32, 48x32" in opened["facts"]
     assert opened["view"]["geometry"]["depth"] == pytest.approx(10)
     assert Path(opened["everything"]["value"]).is_file()
-    shown = act.shape(VISITOR, "Surface", opened["distance"])
+    shown = act.shape(VISITOR, False, "Surface", opened["distance"])
     assert Path(shown["value"]).suffix == ".glb"
     assert shown["camera_position"] == (90, 90, opened["distance"])
     assert "matched in" in match(act)["facts"]
@@ -368,7 +380,7 @@ def test_handlers_from_the_upload_to_the_shape(act, tmp_path):
     assert "msnet2d on torch fp32, 48x32" in found["facts"]
     assert found["view"]["geometry"]["depth"] == pytest.approx(10)
     assert found["progress"] is None
-    shown = (act.shape(VISITOR, kind, None)["value"] for kind in ("Surface", "Points"))
+    shown = (act.shape(VISITOR, True, kind, None)["value"] for kind in ("Surface", "Points"))
     assert {Path(path).name for path in shown} == {
         "stereo_mesh.glb",
         "stereo_points.glb",
@@ -377,6 +389,87 @@ def test_handlers_from_the_upload_to_the_shape(act, tmp_path):
     assert Path(swapped["left"]).read_bytes() == OTHER.tobytes()
     act.leave(VISITOR)
     assert files_below(act.sessions.root) == []
+
+
+def shape(act, chosen=True):
+    return act.shape(VISITOR, chosen, "Points", None)["value"]
+
+
+def test_3d_is_of_the_pair_that_is_chosen(act, tmp_path, monkeypatch):
+    pair = [put(tmp_path, PICTURE, "a.png"), put(tmp_path, OTHER, "b.png")]
+
+    def matched():
+        monkeypatch.undo()
+        last(act.take_pair(VISITOR, pair, *EXAMPLES))
+        match(act, chosen=True)
+        assert shape(act)
+
+    monkeypatch.setattr("mobilestereonet.web.handlers.MIN_CONFIDENCE", 0.0)
+    act.open()
+    assert shape(act, chosen=False)
+    assert shape(act) is None  # as after an hour: his own pair is gone
+    matched()
+    taken = last(act.take_pair(VISITOR, pair, *EXAMPLES))
+    assert shape(act, chosen=False) is None
+    assert taken["everything"]["interactive"] is False  # nor are there files of the former one
+    matched()
+    last(act.swap(VISITOR, True))
+    assert shape(act) is None
+    matched()
+    last(act.take_example(SimpleNamespace(index=0), VISITOR))
+    assert shape(act) is None
+    matched()
+    with refused("match_error", "missing is not installed"):
+        match(act, runtime="missing", chosen=True)
+    assert shape(act) is None
+    matched()
+    with refused("pair_error", "no PNG"):  # which changes nothing
+        last(act.take_pair(VISITOR, [put(tmp_path, b"text")], *EXAMPLES))
+    assert shape(act)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (RuntimeError("CUDA out of memory in /srv"), "the server could not do this"),
+        (InputError("this page was closed: <load it again>"), "closed: &lt;load it again"),
+    ],
+)
+def test_after_any_failure_the_page_is_at_rest(error, words, caplog):
+    def steps():
+        yield {"progress": {"label": "Matching", "expected": None}}
+        raise error
+
+    shown = []
+    with pytest.raises(gr.Error):
+        for values in _values(steps()):
+            shown.append(values)
+    seen = dict(zip(PARTS, shown[-1], strict=True))
+    assert seen["progress"] is None
+    assert seen["cancel"]["visible"] is False
+    assert words in seen["match_error"]
+    assert "/srv" not in seen["match_error"]
+    assert ("out of memory in /srv" in caplog.text) is isinstance(error, RuntimeError)
+
+
+@pytest.mark.parametrize("error", [InputError("junk.onnx: no network"), KeyboardInterrupt()])
+def test_an_error_at_the_start_is_told_and_leaves_nothing(config, monkeypatch, tmp_path, error):
+    def no_matcher(model, engine):
+        raise error
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.delenv("GRADIO_TEMP_DIR", raising=False)
+    upload, threads = route_utils.GradioUploadFile, set(enumerate_threads())
+    with (
+        pytest.raises(type(error)) as told,
+        running(replace(config, matcher=no_matcher)),
+    ):
+        pass
+    assert str(told.value) == str(error)
+    assert list(tmp_path.iterdir()) == []
+    assert "GRADIO_TEMP_DIR" not in os.environ
+    assert route_utils.GradioUploadFile is upload
+    assert set(enumerate_threads()) <= threads
 
 
 def test_without_metres_nothing_is_asked(act):
@@ -432,7 +525,7 @@ def test_the_cameras_of_the_page_are_not_those_of_its_examples(act, tmp_path):
     last(act.take_example(SimpleNamespace(index=0), VISITOR))
     assert match(act, metres=False)["view"]["geometry"] is None
     last(act.take_pair(VISITOR, [put(tmp_path, PICTURE), put(tmp_path, OTHER, "b.png")], *EXAMPLES))
-    with pytest.raises(FieldError, match=r"pair_error.*the cameras of this page.*64x40"):
+    with refused("pair_error", r"the cameras of this page.*64x40"):
         match(act, metres=False, chosen=True)
 
 
@@ -458,25 +551,25 @@ def test_numbers_of_an_example_are_not_those_of_the_next_pair(act, tmp_path, sai
     "payload", [None, [], [None], [{}], [{"path": None}], [{"path": "/etc/passwd"}]]
 )
 def test_bad_payloads_are_one_line_on_the_page(act, payload, tmp_path):
-    with pytest.raises(FieldError, match=r"pair_error.*(upload is not there|no picture)"):
+    with refused("pair_error", r"(upload is not there|no picture)"):
         last(act.take_pair(VISITOR, payload, *EXAMPLES))
     file = payload and payload[0]
-    with pytest.raises(FieldError, match=r"cameras_error.*the upload is not there"):
+    with refused("cameras_error", r"the upload is not there"):
         last(act.take_calibration(VISITOR, file))
     assert files_below(tmp_path) == []
 
 
 def test_errors_are_one_line_at_their_field(act, tmp_path):
-    with pytest.raises(FieldError, match=r"pair_error.*no PNG, JPEG"):
+    with refused("pair_error", r"no PNG, JPEG"):
         last(act.take_pair(VISITOR, [put(tmp_path, b"text")], *EXAMPLES))
-    with pytest.raises(FieldError, match=r"pair_error.*there is no left picture"):
+    with refused("pair_error", r"there is no left picture"):
         match(act, chosen=True)  # as after an hour
-    with pytest.raises(FieldError, match=r"cameras_error.*the baseline is 0 or missing"):
+    with refused("cameras_error", r"the baseline is 0 or missing"):
         match(act, baseline=0.0)
-    with pytest.raises(FieldError, match=r"cameras_error.*no calibration file"):
+    with refused("cameras_error", r"no calibration file"):
         match(act, source=FILE)
-    with pytest.raises(FieldError, match=r"cameras_error.*calibration file"):
+    with refused("cameras_error", r"calibration file"):
         last(act.take_calibration(VISITOR, put(tmp_path, b"no calibration", "calib.txt")))
-    with pytest.raises(FieldError, match=r"match_error.*<b>install it") as error:
+    with refused("match_error", r"<b>install it") as error:
         match(act, runtime="missing")
     assert "&lt;b&gt;install it" in failed(error.value)["match_error"]

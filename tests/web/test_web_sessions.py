@@ -216,15 +216,20 @@ def test_one_file_after_the_other(root, sessions, upload):
     assert session.file("right") is None
 
 
+NOISE = np.random.default_rng(0).integers(0, 256, (120, 400, 3), dtype=np.uint8)
+SCENE = cv2.GaussianBlur(NOISE, (0, 0), 1)
+VIEWS = SCENE[:, :188], SCENE[:, 12:200]
+
+
 def mpo():
-    frames = [Image.fromarray(picture) for picture in (LEFT, RIGHT)]
+    frames = [Image.fromarray(picture[..., ::-1]) for picture in VIEWS]
     file = io.BytesIO()
     frames[0].save(file, "MPO", save_all=True, append_images=frames[1:], quality=95)
     return file.getvalue()
 
 
 @pytest.mark.parametrize("pixels", [10**6, 600])
-@pytest.mark.parametrize("content", [np.hstack([LEFT, RIGHT]), mpo()], ids=["joined", "mpo"])
+@pytest.mark.parametrize("content", [np.hstack(VIEWS), mpo()], ids=["joined", "mpo"])
 @pytest.mark.parametrize("first", [None, LEFT], ids=["alone", "after a left one"])
 def test_one_picture_of_both_views(root, sessions, upload, content, pixels, first):
     session = sessions["a"]
@@ -232,11 +237,47 @@ def test_one_picture_of_both_views(root, sessions, upload, content, pixels, firs
         admit_pair([upload(first)], root, session, UploadLimits())
     for _ in range(2):  # the next one of the same camera replaces it
         admit_pair([upload(content)], root, session, UploadLimits())
-        assert session.file("right") is None
         pair, size = read_views(session, pixels)
-        assert size == (64, 40)
+        assert size == (188, 120)
         assert pair.width * pair.height <= pixels
-        assert pair.width / pair.height == pytest.approx(1.6, rel=0.1)
+        assert pair.width / pair.height == pytest.approx(188 / 120, rel=0.1)
+    session.swap("left", "right")
+    left, right = (decode_image(session.file(side)) for side in ("left", "right"))
+    loss = 0 if isinstance(content, np.ndarray) else 8  # of JPEG
+    assert np.abs(left.astype(float) - VIEWS[1]).mean() <= loss
+    assert np.abs(right.astype(float) - VIEWS[0]).mean() <= loss
+    read_views(session, pixels)
+
+
+def test_wide_views_one_after_the_other(root, sessions, upload):
+    noise = np.random.default_rng(1).integers(0, 256, (300, 752, 3), dtype=np.uint8)
+    scene, session = cv2.GaussianBlur(noise, (0, 0), 1), sessions["a"]
+    views = {"left": scene[:, :740], "right": scene[:, 12:]}
+    admit_pair([upload(views["left"])], root, session, UploadLimits())
+    with pytest.raises(InputError, match=r"no right picture yet.*halves.*not two views"):
+        read_views(session, 10**6)
+    admit_pair([upload(views["right"])], root, session, UploadLimits())
+    for side, seen in views.items():
+        np.testing.assert_array_equal(decode_image(session.file(side)), seen)
+
+
+def test_a_waiting_view_that_was_moved_to_the_right(root, sessions, upload):
+    session = sessions["a"]
+    admit_pair([upload(RIGHT)], root, session, UploadLimits())
+    session.swap("left", "right")
+    with pytest.raises(InputError, match="there is no left picture yet: drop it, too"):
+        read_views(session, 10**6)
+    admit_pair([upload(LEFT)], root, session, UploadLimits())
+    for side, seen in (("left", LEFT), ("right", RIGHT)):
+        np.testing.assert_array_equal(decode_image(session.file(side)), seen)
+
+
+def test_a_refused_pair_leaves_the_former_one(root, session, upload):
+    files = [upload(RIGHT, "a.png", "a"), upload(b"text", "b.png", "b")]
+    with pytest.raises(InputError, match="right picture: this is no PNG"):
+        admit_pair(files, root, session, UploadLimits())
+    for side, seen in (("left", LEFT), ("right", RIGHT)):
+        np.testing.assert_array_equal(decode_image(session.file(side)), seen)
 
 
 def test_large_pictures_are_scaled_and_the_calibration_with_them(session, matcher):

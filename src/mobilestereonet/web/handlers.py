@@ -29,7 +29,13 @@ from mobilestereonet.web.answer import (
 )
 from mobilestereonet.web.cameras import FILE, NUMBERS, UNKNOWN, Geometry
 from mobilestereonet.web.sessions import Session, Sessions
-from mobilestereonet.web.uploads import UploadLimits, admit_calibration, admit_pair, read_views
+from mobilestereonet.web.uploads import (
+    SIDES,
+    UploadLimits,
+    admit_calibration,
+    admit_pair,
+    read_views,
+)
 
 Updates = dict[str, Any]
 """New values of the page's parts, by their names in `PARTS`."""
@@ -52,6 +58,9 @@ SHAPES = {"Surface": MESH, "Points": CLOUD}
 MIN_CONFIDENCE = 0.5
 """Of points and surfaces, where the visitor asks for no other."""
 
+_UNFORESEEN = (
+    "the server could not do this, and its log says why: try smaller pictures, or another quality"
+)
 _POLL_SECONDS = 0.2
 
 
@@ -77,8 +86,17 @@ class PageConfig:
     rectifier: Rectifier | None = None
 
 
-class FieldError(Exception):
-    """An `InputError` and the field of the page that it belongs to."""
+class FieldError(InputError):
+    """An `InputError` at a field of the page.
+
+    Attributes:
+        field: One of `ERRORS`.
+    """
+
+    def __init__(self, field: str, text: str) -> None:
+        """Say what is wrong there."""
+        super().__init__(text)
+        self.field = field
 
 
 @contextmanager
@@ -143,7 +161,7 @@ class Handlers:
         with at("pair_error"):
             admit_pair(paths, self.uploads, session, self.config.limits)
             session.drop("example")
-            updates = {**self._thumbnails(session), "drop": None}
+            updates = {**self._changed(session), "drop": None}
             said = {"source": source, **dict(zip(NUMBERS_OF_CAMERAS, numbers, strict=True))}
             known = [_cameras(example.calibration) for example in self.config.examples]
             if {"metres": True, **said} in known:
@@ -166,7 +184,7 @@ class Handlers:
         session = self._session(request, chosen)
         session.swap("left", "right")
         with at("pair_error"):
-            yield self._thumbnails(session)
+            yield self._changed(session)
             yield self._preview(session)
 
     def take_example(self, choice: gr.SelectData, request: gr.Request) -> Iterator[Updates]:
@@ -177,22 +195,23 @@ class Handlers:
 
     def _put_example(self, session: Session, index: int) -> Updates:
         sample = self.config.examples[index]
-        for side, picture in (("left", sample.left), ("right", sample.right)):
+        for side, picture in zip(SIDES, (sample.left, sample.right), strict=True):
             with session.replace(side) as folder:
                 write_png(folder / f"{side}.png", to_picture(picture))
         with session.replace("example"):  # which the page's own cameras have not taken
             pass
-        return self._thumbnails(session) | _cameras(sample.calibration)
+        return self._changed(session) | _cameras(sample.calibration)
 
-    def _thumbnails(self, session: Session) -> Updates:
-        paths = {side: session.file(side) for side in ("left", "right")}
-        return {"chosen": True} | {
-            side: str(path) if path else None for side, path in paths.items()
-        }
+    def _changed(self, session: Session) -> Updates:
+        """Show the session's new pair, and nothing of the former one's answer."""
+        session.drop("answer")
+        paths = {side: session.file(side) for side in SIDES}
+        thumbnails = {side: str(path) if path else None for side, path in paths.items()}
+        return {"chosen": True, **thumbnails, **_no_answer()}
 
     def _preview(self, session: Session) -> Updates:
         pair, _ = read_views(session, self.config.limits.pixels)
-        return {"pair_error": "", "view": preview(pair), "facts": ""}
+        return {"pair_error": "", "view": preview(pair)}
 
     def match(
         self,
@@ -222,14 +241,13 @@ class Handlers:
     def _match(
         self, session: Session, model: str, engine: str, geometry: Geometry
     ) -> Iterator[Updates]:
+        session.drop("answer")
         yield {
             **dict.fromkeys(ERRORS, ""),
+            **_no_answer(),
             "progress": {"label": f"Loading {model}", "expected": None},
             "cancel": gr.update(visible=True),
-            "facts": "",
             "tabs": gr.update(selected="depth"),
-            "shape": None,
-            **{name: _download(None) for name in DOWNLOADS},
         }
         with at("pair_error"):
             pair, size = read_views(session, self.config.limits.pixels)
@@ -272,10 +290,10 @@ class Handlers:
         """Tell that the match was cancelled; what is being computed ends by itself, unseen."""
         yield {**_at_rest(), "facts": "Cancelled."}
 
-    def shape(self, request: gr.Request, kind: str, distance: float | None) -> Any:
+    def shape(self, request: gr.Request, chosen: bool, kind: str, distance: float | None) -> Any:
         """Show the points or the surface of the session's answer, from a distance in metres."""
         session = self.sessions[request.session_hash]
-        if not session.holds("answer"):
+        if not chosen and not any(session.holds(side) for side in SIDES):
             session = self.opening
         path = session.file("answer", SHAPES.get(kind, CLOUD))
         return gr.update(
@@ -293,9 +311,10 @@ class Handlers:
         self._worker.shutdown(cancel_futures=True)
 
 
-def failed(error: FieldError) -> Updates:
-    """What the page shows of an error: one line at its field."""
-    field, text = error.args
+def failed(error: Exception) -> Updates:
+    """What the page shows of an error: one line, at its field if it has one."""
+    field = error.field if isinstance(error, FieldError) else "match_error"
+    text = str(error) if isinstance(error, InputError) else _UNFORESEEN
     return {**_at_rest(), "drop": None, field: f"<p role='alert'>{html.escape(text)}</p>"}
 
 
@@ -305,6 +324,10 @@ def _cameras(known: Calibration | None) -> Updates:
         return {"metres": False, "source": UNKNOWN, **dict.fromkeys(NUMBERS_OF_CAMERAS)}
     numbers = {name: round(getattr(known, name), 4) for name in NUMBERS_OF_CAMERAS}
     return {"metres": True, "source": NUMBERS, **numbers}
+
+
+def _no_answer() -> Updates:
+    return {"facts": "", "shape": None, **{name: _download(None) for name in DOWNLOADS}}
 
 
 def _at_rest() -> Updates:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, metadata
@@ -15,6 +16,7 @@ import numpy as np
 
 import mobilestereonet
 from mobilestereonet.data.images import to_picture
+from mobilestereonet.errors import InputError
 from mobilestereonet.plots import colour_disparity
 from mobilestereonet.web.answer import MAX_DEPTH_RATIO
 from mobilestereonet.web.cameras import CAMERAS, FILE, NUMBERS, UNKNOWN
@@ -23,7 +25,6 @@ from mobilestereonet.web.handlers import (
     NUMBERS_OF_CAMERAS,
     PARTS,
     SHAPES,
-    FieldError,
     Handlers,
     PageConfig,
     Updates,
@@ -31,6 +32,8 @@ from mobilestereonet.web.handlers import (
 )
 from mobilestereonet.web.sessions import MAX_IDLE_SECONDS
 from mobilestereonet.web.uploads import CALIBRATIONS
+
+_log = logging.getLogger(__name__)
 
 _ABOUT = """# Depth from two pictures
 Two pictures of one scene, taken side by side (a **rectified stereo pair**), become depth for every
@@ -108,7 +111,7 @@ def build_page(handlers: Handlers) -> gr.Blocks:
         for event in (tab.select, kind.change):
             event(
                 handlers.shape,
-                [kind, parts["distance"]],
+                [parts["chosen"], kind, parts["distance"]],
                 parts["shape"],
                 api_visibility="private",
             )
@@ -142,7 +145,9 @@ def _values(steps: Iterator[Updates]) -> Iterator[list[Any]]:
     try:
         for updates in steps:
             yield [updates.get(name, gr.skip()) for name in PARTS]
-    except FieldError as error:
+    except Exception as error:  # whatever it is, the page must come to rest
+        if not isinstance(error, InputError):
+            _log.exception("an event of the page failed")
         yield [failed(error).get(name, gr.skip()) for name in PARTS]
         # The page has the words at their field.
         raise gr.Error("", visible=False, print_exception=False) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from secrets import token_bytes
@@ -154,11 +154,11 @@ def running(
     Raises:
         OSError: If the port is not free.
     """
-    before, upload = os.environ.get("GRADIO_TEMP_DIR"), route_utils.GradioUploadFile
-    route_utils.GradioUploadFile = OwnUpload
-    with TemporaryDirectory(prefix="msnet-web-") as folder:
-        os.environ["GRADIO_TEMP_DIR"] = folder
-        handlers = Handlers(config, Path(folder))
+    with (
+        TemporaryDirectory(prefix="msnet-web-") as folder,
+        _uploads_in(folder),
+        closing(Handlers(config, Path(folder))) as handlers,
+    ):
         page = build_page(handlers)
         try:
             _, address, _ = page.launch(
@@ -177,10 +177,19 @@ def running(
             )
             yield address
         finally:
-            handlers.close()
             page.close(verbose=False)
-            route_utils.GradioUploadFile = upload
-            if before is None:
-                del os.environ["GRADIO_TEMP_DIR"]
-            else:
-                os.environ["GRADIO_TEMP_DIR"] = before
+
+
+@contextmanager
+def _uploads_in(folder: str) -> Iterator[None]:
+    """Context in which gradio puts uploads into a folder, each as an `OwnUpload`."""
+    before, upload = os.environ.get("GRADIO_TEMP_DIR"), route_utils.GradioUploadFile
+    os.environ["GRADIO_TEMP_DIR"], route_utils.GradioUploadFile = folder, OwnUpload
+    try:
+        yield
+    finally:
+        route_utils.GradioUploadFile = upload
+        if before is None:
+            del os.environ["GRADIO_TEMP_DIR"]
+        else:
+            os.environ["GRADIO_TEMP_DIR"] = before

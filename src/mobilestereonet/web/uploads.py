@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 from PIL import Image
 
+from mobilestereonet.data.files import write_png
 from mobilestereonet.data.image_files import read_frames
+from mobilestereonet.data.images import Array
 from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoPair, load_pair
+from mobilestereonet.inference.first_look import first_look, require_two_views
 from mobilestereonet.inference.tiling import MAX_UNTILED_PIXELS
 from mobilestereonet.web.sessions import Session
 
@@ -27,9 +31,13 @@ MAX_CALIBRATION_BYTES = 2**20
 MAX_DECODED_PIXELS = 64_000_000
 """Pixels above which no picture is decoded; telephones have up to 50 millions mostly."""
 
-_ORIENTATION_TAG = 274
 MIN_JOINED_ASPECT = 1.9
 """Width by height of one picture from which on it may show both views, side by side."""
+
+SIDES = ("left", "right")
+"""Slots of a session's pair."""
+
+_PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,8 @@ def admit_pair(
     """Take what was dropped on the page into a session: both views, one with both, or one.
 
     Two files are left and right by their names: ``im0 im1``, ``left right``, ``a_L a_R``. One
-    alone is the right view if a left one waits for it, unless it shows both.
+    with both views is split into them. Another one joins the view that waits for it; where none
+    does, it is the left one of a new pair. What is refused changes nothing.
 
     Args:
         files: Where the browser says that its uploads are, with their names: not to be trusted.
@@ -73,17 +82,26 @@ def admit_pair(
         raise InputError(f"these are {len(files)} pictures: drop the left and the right one")
     if not files:
         raise InputError("there is no picture: choose one")
-    first, *others = sorted(files, key=lambda path: path.name.lower())
-    left = session.file("left")
-    waits = left is not None and session.file("right") is None and not shows_both(left)
-    if others or not waits:
-        admit(first, uploads, session, "left", limits)
-        session.drop("right")
-        for other in others:
-            admit(other, uploads, session, "right", limits)
-    elif shows_both(admit(first, uploads, session, "right", limits)):
-        session.swap("left", "right")
-        session.drop("right")
+    if len(files) == 2:
+        ordered = sorted(files, key=lambda path: path.name.lower())
+        checked = [
+            (side, *_checked(file, uploads, side, limits))
+            for side, file in zip(SIDES, ordered, strict=True)
+        ]
+        for side, upload, suffix in checked:  # not before both are good
+            _keep(upload, session, side, suffix)
+        return
+    held = [side for side in SIDES if session.holds(side)]
+    side = "right" if held == ["left"] else "left"
+    upload, suffix = _checked(files[0], uploads, side, limits)
+    views = both_views(upload)
+    for place, view in zip(SIDES, views, strict=False):
+        with session.replace(place) as folder:
+            write_png(folder / f"{place}.png", view)
+    if not views:
+        _keep(upload, session, side, suffix)
+        if len(held) == 2:
+            session.drop("right")
 
 
 def admit(upload: Path, uploads: Path, session: Session, side: str, limits: UploadLimits) -> Path:
@@ -105,12 +123,21 @@ def admit(upload: Path, uploads: Path, session: Session, side: str, limits: Uplo
         InputError: If it is no file that was just uploaded, too large, or no picture. A bad
             upload is deleted.
     """
+    upload, suffix = _checked(upload, uploads, side, limits)
+    return _keep(upload, session, side, suffix)
+
+
+def _checked(upload: Path, uploads: Path, side: str, limits: UploadLimits) -> tuple[Path, str]:
+    """A good upload and the suffix of its format; a bad one is deleted."""
     upload = _uploaded(upload, uploads, f"{side} picture")
     try:
-        suffix = _check_picture(upload, side, limits)
+        return upload, _check_picture(upload, side, limits)
     except InputError:
         upload.unlink(missing_ok=True)
         raise
+
+
+def _keep(upload: Path, session: Session, side: str, suffix: str) -> Path:
     with session.replace(side) as folder:
         return Path(shutil.copyfile(upload, folder / f"{side}{suffix}"))
 
@@ -147,7 +174,7 @@ def _check_picture(path: Path, side: str, limits: UploadLimits) -> str:
         raise InputError(f"{side} picture: the file has more than {limits.megabytes} MB")
     too_large = f"more than {MAX_DECODED_PIXELS / 1e6:.0f} megapixels: make both pictures smaller"
     try:
-        with Image.open(path, formats=("PNG", "JPEG", "WEBP", "BMP")) as picture:
+        with Image.open(path, formats=_PILLOW_FORMATS) as picture:
             (width, height), kind = picture.size, picture.format
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         raise InputError(f"{side} picture: {too_large}") from None
@@ -158,17 +185,34 @@ def _check_picture(path: Path, side: str, limits: UploadLimits) -> str:
     return SUFFIXES[str(kind)]
 
 
-def shows_both(picture: Path) -> bool:
-    """Whether a picture of a session shows both views by its form: an MPO, or twice as wide."""
+def both_views(picture: Path) -> list[Array]:
+    """The left and the right view, if a picture shows both: an MPO, or side by side; else none.
+
+    Whether the halves of a wide picture are two views of one scene tells the first look.
+    """
     try:
-        with Image.open(picture) as image:
-            width, height = image.size
-            if image.getexif().get(_ORIENTATION_TAG, 1) > 4:
-                width, height = height, width
-            both = image.format == "MPO" and len(read_frames(picture)) == 2
+        with Image.open(picture, formats=_PILLOW_FORMATS) as image:
+            if image.format != "MPO" and not _is_wide(max(image.size), min(image.size)):
+                return []
+        frames = read_frames(picture)
+        if len(frames) == 2:
+            return frames
+        (both,), (height, width) = frames, frames[0].shape[:2]
+        if not _is_wide(width, height):
+            return []
+        views = [both[:, : width // 2], both[:, width // 2 : width // 2 * 2]]
+        pair = _load_scaled(views, MAX_UNTILED_PIXELS)
+        arrangement, findings = first_look(replace(pair, layout="side-by-side"))
+        require_two_views(findings)
     except (InputError, OSError, ValueError):
-        return False  # damaged: reading tells how
-    return both or width >= MIN_JOINED_ASPECT * height
+        return []  # one view, or damaged: reading tells how
+    if arrangement.top_bottom:
+        return [both[: height // 2], both[height // 2 : height // 2 * 2]]
+    return views
+
+
+def _is_wide(width: int, height: int) -> bool:
+    return width >= MIN_JOINED_ASPECT * height
 
 
 def read_views(session: Session, pixels: int) -> tuple[StereoPair, tuple[int, int]]:
@@ -181,15 +225,18 @@ def read_views(session: Session, pixels: int) -> tuple[StereoPair, tuple[int, in
         InputError: If a picture is missing or damaged, or the sizes differ.
     """
     left, right = session.file("left"), session.file("right")
-    if left is None:
+    waiting = left or right
+    if waiting is None:
         raise InputError("there is no left picture (any more): choose one")
-    if right is None and not shows_both(left):
-        raise InputError("there is no right picture yet: drop it, too")
+    if left is None or right is None:
+        raise InputError(_missing(waiting, "right" if right is None else "left"))
     try:
         with Image.open(left) as image:
             large = image.size[0] * image.size[1] > pixels
         if large:
-            return _read_scaled(left, right, pixels)
+            frames = [read_frames(path)[0] for path in (left, right)]
+            height, width = frames[0].shape[:2]
+            return _load_scaled(frames, pixels), (width, height)
         pair = load_pair(left, right)
         return pair, (pair.width, pair.height)
     except (InputError, OSError) as error:
@@ -198,18 +245,18 @@ def read_views(session: Session, pixels: int) -> tuple[StereoPair, tuple[int, in
         raise InputError(text.replace(str(right), "right picture")) from None
 
 
-def _read_scaled(left: Path, right: Path | None, pixels: int) -> tuple[StereoPair, tuple[int, int]]:
-    frames = (
-        read_frames(left) if right is None else [read_frames(path)[0] for path in (left, right)]
-    )
-    joined = len(frames) == 1
+def _missing(waiting: Path, side: str) -> str:
+    text = f"there is no {side} picture yet: drop it, too"
+    with suppress(OSError), Image.open(waiting) as image:
+        if _is_wide(*image.size):
+            text += " (the halves of this one are not two views of one scene)"
+    return text
+
+
+def _load_scaled(frames: list[Array], pixels: int) -> StereoPair:
     height, width = frames[0].shape[:2]
-    if joined:
-        width //= 2
-        frames = [frames[0][:, :width], frames[0][:, width : 2 * width]]
     scale = min(1.0, math.sqrt(pixels / (width * height)))
     size = max(int(scale * width), 1), max(int(scale * height), 1)
     if frames[1].shape == frames[0].shape:  # else they are refused as they are
         frames = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames]
-    pair = load_pair(*frames)
-    return replace(pair, layout="side-by-side" if joined else ""), (width, height)
+    return load_pair(*frames)
