@@ -4,6 +4,7 @@ import base64
 import io
 import struct
 import zlib
+from dataclasses import replace
 from threading import Thread
 from zipfile import ZipFile
 
@@ -17,7 +18,8 @@ from mobilestereonet import InputError, StereoMatcher, create_model
 from mobilestereonet.data.depth_files import write_depth
 from mobilestereonet.data.image_files import decode_image
 from mobilestereonet.data.rig import Camera, CameraPair, Rig
-from mobilestereonet.inference import PointCloud, Rectifier, load_pair
+from mobilestereonet.inference import PointCloud, Rectifier, StereoResult, load_pair
+from mobilestereonet.inference.mesh import Mesh
 from mobilestereonet.web.answer import (
     CLOUD,
     MESH,
@@ -349,6 +351,29 @@ def test_cameras_by_model(session, matcher):
         ask(session, matcher, Geometry("Holga"))
 
 
+@pytest.mark.parametrize(
+    ("camera", "size", "focal"),
+    [
+        ("OAK-D", (1280, 720), 882.5),  # cut above and below only
+        ("OAK-D", (640, 360), 441.25),
+        ("OAK-D", (640, 480), None),
+        ("ZED 2", (672, 376), 265),
+        ("ZED 2", (1104, 621), None),  # from which of its views?
+        ("RealSense D435", (1280, 720), 674.4),
+        ("RealSense D435", (848, 480), 446.8),
+        ("RealSense D435", (640, 480), None),  # cut from 16:9
+        ("RealSense D435", (720, 1280), None),
+    ],
+)
+def test_nominal_values_are_for_whole_views(camera, size, focal):
+    geometry = Geometry(camera)
+    if focal is None:
+        with pytest.raises(InputError, match=f"1280x.*these pictures have {size[0]}x{size[1]}"):
+            geometry.rig(size)
+    else:
+        assert geometry.rig(size).geometry(size).focal == pytest.approx(focal, abs=0.1)
+
+
 def test_a_guessed_scale_is_said_to_be_guessed(session, matcher):
     found, seen = ask(session, matcher, Geometry(UNKNOWN, max_depth=100))
     assert seen["geometry"]["guessed"] is True
@@ -433,9 +458,37 @@ def test_an_engine_without_confidence(session):
 
 def test_no_point_is_a_note(session, matcher):
     found, _ = ask(session, matcher, known(max_depth=1e-6))
-    assert any(note.startswith("3D: no surface") for note in found.notes)
+    assert "3D: nothing is as near and as sure as asked for" in found.notes
+    assert found.distance is None
     assert session.file("answer", CLOUD) is None
     assert "blender" not in found.downloads
+
+
+def test_points_without_a_surface_are_kept(session, matcher, monkeypatch):
+    whole = StereoResult.mesh
+    monkeypatch.setattr(
+        StereoResult, "mesh", lambda *a, **k: replace(whole(*a, **k), faces=np.empty((0, 3), int))
+    )
+    found, _ = ask(session, matcher, known())
+    assert "3D: points only, no surface is as near and as sure as asked for" in found.notes
+    assert session.file("answer", CLOUD) is not None
+    assert session.file("answer", MESH) is None
+    assert "blender" not in found.downloads
+
+
+def test_another_failure_is_not_told_as_an_empty_shape(session, matcher, monkeypatch):
+    def fail(*_):
+        raise InputError("no texture")
+
+    monkeypatch.setattr(Mesh, "save", fail)
+    with pytest.raises(InputError, match="no texture"):
+        ask(session, matcher, known())
+
+
+def test_a_limit_in_metres_needs_metres(session, matcher):
+    found, _ = ask(session, matcher, Geometry(max_depth=1e-6))
+    assert any("counts with depth in metres only" in note for note in found.notes)
+    assert "blender" in found.downloads
 
 
 @pytest.mark.parametrize(

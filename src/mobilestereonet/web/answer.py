@@ -18,7 +18,6 @@ from mobilestereonet.data.disparity_files import KITTI_SCALE
 from mobilestereonet.data.files import write_png
 from mobilestereonet.data.images import Picture
 from mobilestereonet.data.sample import Calibration
-from mobilestereonet.errors import InputError
 from mobilestereonet.inference import StereoMatcher, StereoPair, StereoResult
 from mobilestereonet.inference.first_look import problems, put_right
 from mobilestereonet.inference.geometry import PointCloud
@@ -154,22 +153,30 @@ def _write(
     write_png(downloads["picture"], colour_disparity(result.disparity, valid=result.valid))
     write_png(folder / "left.png", result.left)
     if calibration is not None:
+        depth = result.depth(calibration)
         for suffix in (".png", ".npy", ".tif"):
-            downloads["depth"] = folder / f"stereo_depth{suffix}"
-            write_depth(downloads["depth"], result.depth(calibration))
+            write_depth(folder / f"stereo_depth{suffix}", depth)
+        downloads["depth"] = folder / "stereo_depth.tif"
     # The shape alone needs no scale.
     height, width = result.disparity.shape
-    known = calibration or ASSUMED.calibration((width, height))
-    limits = _limits(result, known, geometry)
-    points = result.points(known, **limits)
-    distance = viewing_distance(points) if len(points.points) else None
-    try:
+    known = calibration or ASSUMED.geometry((width, height))
+    max_depth = geometry.max_depth
+    if calibration is None and max_depth:
+        max_depth = None
+        notes.append('3D: "Farther than, m" counts with depth in metres only')
+    limits = _limits(result, known, max_depth, geometry.min_confidence)
+    points, mesh = result.points(known, **limits), result.mesh(known, **limits)
+    distance = None
+    if len(points.points):
+        distance = viewing_distance(points)
         points.save(folder / "stereo_points.ply")
         _thinned(points).save(folder / CLOUD)
-        result.mesh(known, **limits).save(folder / MESH)
+    if len(mesh.faces):
+        mesh.save(folder / MESH)
         downloads["blender"] = folder / MESH
-    except InputError:
-        notes.append("3D: no surface is as near and as sure as asked for")
+    else:
+        shown = "points only, no surface" if len(points.points) else "nothing"
+        notes.append(f"3D: {shown} is as near and as sure as asked for")
     files = sorted(path for path in folder.iterdir() if path.is_file())
     with ZipFile(folder / "stereo.zip", "w") as archive:  # most of them are compressed already
         for path in files:
@@ -177,12 +184,17 @@ def _write(
     return downloads | {"everything": folder / "stereo.zip"}, distance
 
 
-def _limits(result: StereoResult, calibration: Calibration, geometry: Geometry) -> dict[str, Any]:
+def _limits(
+    result: StereoResult,
+    calibration: Calibration,
+    max_depth: float | None,
+    min_confidence: float,
+) -> dict[str, Any]:
     depth = result.depth(calibration)
     median = float(np.median(depth[depth > 0])) if depth.any() else 0.0
     return {
-        "max_depth": geometry.max_depth or MAX_DEPTH_RATIO * median,
-        "min_confidence": 0.0 if result.confidence is None else geometry.min_confidence,
+        "max_depth": max_depth or MAX_DEPTH_RATIO * median,
+        "min_confidence": 0.0 if result.confidence is None else min_confidence,
     }
 
 

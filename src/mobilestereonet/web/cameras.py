@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mobilestereonet.data.rig import Rig
+from mobilestereonet.data.rig import AssumedRig, Rig
+from mobilestereonet.data.rig.assumed import DEFAULT_FIELD_OF_VIEW_DEG, focal_of_view
 from mobilestereonet.data.sample import Calibration
 from mobilestereonet.errors import InputError
 
@@ -19,39 +20,54 @@ class CameraModel:
     """Nominal geometry of a camera's rectified pictures, as its maker gives it.
 
     Attributes:
-        focal: Focal length in px by the pictures' width in px.
+        focal: Focal length in px by the pictures' width and height in px.
         baseline: Distance of the cameras in metres.
     """
 
-    focal: Mapping[int, float]
+    focal: Mapping[Size, float]
     baseline: float
 
     def calibration(self, size: Size) -> Calibration:
         """Calibration of pictures of a width and height.
 
-        A width that the camera does not have is taken for a resized one of the first.
+        A size that the camera does not have is taken for a resized one if those of its shape all
+        show one field of view.
+
+        Raises:
+            InputError: If they do not, or there is none: such a picture was cut from another one.
         """
-        width, focal = next(iter(self.focal.items()))
-        focal = self.focal.get(size[0], focal * size[0] / width)
+        width, height = size
+        alike = {
+            focal * width / own_width
+            for (own_width, own_height), focal in self.focal.items()
+            if math.isclose(width / height, own_width / own_height, rel_tol=_SAME_SHAPE)
+        }
+        focal = self.focal.get(size) or (alike.pop() if len(alike) == 1 else None)
+        if focal is None:
+            sizes = ", ".join(f"{own_width}x{own_height}" for own_width, own_height in self.focal)
+            raise InputError(
+                f"the maker's values are for {sizes}, and these pictures have {width}x{height}: "
+                "choose a calibration file, or fill in the numbers"
+            )
         return Calibration(focal, self.baseline, size=size)
 
 
-def focal_of_view(width: int, degrees: float) -> float:
-    """Focal length in px of pictures of a width and a horizontal field of view."""
-    return width / 2 / math.tan(math.radians(degrees) / 2)
+_SAME_SHAPE = 0.01
+"""Share by which a shape, width by height, may differ: 848 x 480 is as good as 16:9."""
 
-
-ASSUMED = CameraModel({1000: focal_of_view(1000, 60)}, 0.065)
+ASSUMED = AssumedRig.of_field_of_view(DEFAULT_FIELD_OF_VIEW_DEG, 0.065)
 """For views of which nothing is known: the field of view of many telephones and webcams, and the
 distance of a person's eyes."""
 
 CAMERAS: Mapping[str, CameraModel] = {
-    # Luxonis, "Configuring stereo depth": 882.5 px at 1280 x 800, 7.5 cm.
-    "OAK-D": CameraModel({1280: 882.5}, 0.075),
+    # Luxonis, "Configuring stereo depth": 882.5 px at 1280 x 800, 7.5 cm. 720 rows are cut.
+    "OAK-D": CameraModel({(1280, 800): 882.5, (1280, 720): 882.5}, 0.075),
     # 2.12 mm lens, pixels of 2 um; 1280 and 672 wide ones join two and four of them.
-    "ZED 2": CameraModel({1280: 530, 2208: 1060, 1920: 1060, 672: 265}, 0.12),
-    # D400 series data sheet: 87 degrees of horizontal view, 50 mm.
-    "RealSense D435": CameraModel({1280: focal_of_view(1280, 87)}, 0.05),
+    "ZED 2": CameraModel(
+        {(1280, 720): 530, (2208, 1242): 1060, (1920, 1080): 1060, (672, 376): 265}, 0.12
+    ),
+    # D400 series data sheet: 87 degrees of horizontal view in 16:9 (cut in 4:3), 50 mm.
+    "RealSense D435": CameraModel({(1280, 720): focal_of_view(87, 1280)}, 0.05),
 }
 FILE, NUMBERS, UNKNOWN = "Calibration file", "Focal length and baseline", "I don't know"
 """Answers to where the calibration comes from, beside the names of `CAMERAS`."""
@@ -96,7 +112,9 @@ class Geometry:
             return self._from_file()
         if self.source == NUMBERS:
             return Rig((replace(self._from_numbers(), size=size),), "the calibration")
-        model = ASSUMED if self.guessed else CAMERAS.get(self.source)
+        if self.guessed:
+            return Rig((ASSUMED.geometry(size),), self.source)
+        model = CAMERAS.get(self.source)
         if model is None:
             raise InputError(f"there is no camera {self.source!r}: choose another one")
         return Rig((model.calibration(size),), self.source)
