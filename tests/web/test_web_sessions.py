@@ -33,7 +33,6 @@ from mobilestereonet.web.cameras import CAMERAS, FILE, NUMBERS, UNKNOWN, Geometr
 from mobilestereonet.web.sessions import Sessions
 from mobilestereonet.web.uploads import (
     UploadLimits,
-    admit,
     admit_calibration,
     admit_pair,
     read_views,
@@ -73,12 +72,18 @@ def matcher():
     return StereoMatcher(create_model("msnet2d", max_disparity=32), confidence=True)
 
 
+def admit(path, root, session, limits=UploadLimits()):
+    """Drop one picture on the page; gives the session's left one."""
+    admit_pair([path], root, session, limits)
+    return session.file("left")
+
+
 @pytest.fixture
 def session(root, sessions, upload):
     """A session with a pair."""
     session = sessions["someone"]
-    for side, picture in (("left", LEFT), ("right", RIGHT)):
-        admit(upload(picture), root, session, side, UploadLimits())
+    for picture in (LEFT, RIGHT):
+        admit(upload(picture), root, session)
     return session
 
 
@@ -121,17 +126,19 @@ def png_header(width, height):
 
 def test_an_upload_is_copied_into_the_session_under_our_name(root, sessions, upload):
     path = upload(LEFT, name="My holiday \u2603.jpeg")  # a PNG, whatever it is called
-    kept = admit(path, root, sessions["a"], "left", UploadLimits())
+    kept = admit(path, root, sessions["a"])
     assert kept.name == "left.png"
     assert kept.is_relative_to(sessions["a"].folder)
     np.testing.assert_array_equal(decode_image(kept), LEFT)
-    again = admit(upload(RIGHT), root, sessions["a"], "left", UploadLimits())
+    admit(upload(RIGHT), root, sessions["a"])
+    again = admit(upload(RIGHT), root, sessions["a"])  # the left one of a new pair
+    np.testing.assert_array_equal(decode_image(again), RIGHT)
     assert files_below(root / "sessions") == [again]
 
 
 def test_two_visitors_with_the_same_picture(root, sessions, upload):
     path = upload(LEFT)  # one path: gradio names it by its content
-    kept = [admit(path, root, sessions[name], "left", UploadLimits()) for name in "ab"]
+    kept = [admit(path, root, sessions[name]) for name in "ab"]
     sessions.close("a")
     assert files_below(root / "sessions") == kept[1:]
 
@@ -153,7 +160,7 @@ def test_two_visitors_with_the_same_picture(root, sessions, upload):
 def test_a_bad_upload_is_deleted(root, sessions, upload, content, words):
     path = upload(content)
     with pytest.raises(InputError, match=f"left picture: .*{words}") as error:
-        admit(path, root, sessions["a"], "left", UploadLimits(megabytes=1))
+        admit(path, root, sessions["a"], UploadLimits(megabytes=1))
     assert str(root) not in str(error.value)
     assert files_below(root) == []
 
@@ -161,19 +168,13 @@ def test_a_bad_upload_is_deleted(root, sessions, upload, content, words):
 def test_the_size_is_told_without_decoding(root, sessions, upload, monkeypatch):
     monkeypatch.setattr("PIL.ImageFile.ImageFile.load", lambda *_: pytest.fail("decoded"))
     with pytest.raises(InputError, match="megapixels"):
-        admit(
-            upload(png_header(9000, 9000)),
-            root,
-            sessions["a"],
-            "left",
-            UploadLimits(),
-        )
+        admit(upload(png_header(9000, 9000)), root, sessions["a"])
 
 
 def test_only_uploads_are_taken(root, sessions, upload, tmp_path):
     secret = tmp_path / "secret.png"
     secret.write_bytes(cv2.imencode(".png", LEFT)[1].tobytes())
-    theirs = admit(upload(LEFT), root, sessions["other"], "left", UploadLimits())
+    theirs = admit(upload(LEFT), root, sessions["other"])
     link = root / "c3d4" / "link.png"
     link.parent.mkdir()
     link.symlink_to(secret)
@@ -187,7 +188,7 @@ def test_only_uploads_are_taken(root, sessions, upload, tmp_path):
         theirs,
     ):
         with pytest.raises(InputError, match="the upload is not there"):
-            admit(path, root, sessions["a"], "left", UploadLimits())
+            admit(path, root, sessions["a"])
     assert secret.exists()
     assert theirs.exists()
     assert sessions["a"].file("left") is None
@@ -441,9 +442,8 @@ def test_views_that_cannot_give_depth_give_none(root, sessions, upload, matcher)
     noise = np.random.default_rng(0).integers(0, 256, (120, 260, 3), dtype=np.uint8)
     wide = cv2.GaussianBlur(noise, (0, 0), 1)
     session = sessions["someone else"]
-    views = {"left": wide[:, :240], "right": np.roll(wide, 6, axis=0)[:, 20:]}
-    for side, picture in views.items():
-        admit(upload(picture), root, session, side, UploadLimits())
+    for picture in (wide[:, :240], np.roll(wide, 6, axis=0)[:, 20:]):
+        admit(upload(picture), root, session)
     found, seen = ask(session, matcher, known())
     assert any("no depth in metres of such views (rectified)" in note for note in found.notes)
     assert seen["geometry"] is None
@@ -516,7 +516,8 @@ def test_bad_pairs(root, session, upload, matcher, pixels):
         (RIGHT[:-8], "left.* has 64x40, right.* has 64x32"),
         (whole[:200], "right picture: not an image"),
     ):
-        admit(upload(content), root, session, "right", UploadLimits())
+        session.drop("right")
+        admit(upload(content), root, session)
         before = files_below(session.folder)
         with pytest.raises(InputError, match=words) as error:
             ask(session, matcher, Geometry(), pixels=pixels)

@@ -69,8 +69,7 @@ def compare(
     tables.prepare()
     # A run beside the embedded weights of its network is told apart by its folder.
     labels = (
-        f"{label} ({Path(names[0])})" if label in others else label
-        for label, names in grouped.items()
+        f"{label} ({names[0]})" if label in others else label for label, names in grouped.items()
     )
     rows = distinct([*labels, *others])
     members = [*grouped.values(), *([source] for source in others)]

@@ -54,12 +54,13 @@ def demo(
     from mobilestereonet.inference import RunInfo, StereoMatcher, StereoResult, load_pair
     from mobilestereonet.inference.map_files import MAP_FILES
     from mobilestereonet.metrics import StereoMetrics, StereoScores
-    from mobilestereonet.streams.video_files import check_video_file, write_video
 
     sample = motorcycle()
     paths = [output / name for name in ("left.png", "right.png", "calib.txt", "truth.pfm")]
     films = [output / f"side_by_side.{ending}" for ending in ("mp4", "txt")] if video else []
     if video:
+        from mobilestereonet.streams.video_files import check_video_file, write_video
+
         check_video_file(films[0])
     maps = [output / f"{sample.name}_{name}" for name in MAP_FILES.values()]
     check_outputs(*paths, *films, *maps)

@@ -135,9 +135,11 @@ def predict(
         for file in pictured:
             write_png(file, depth_picture(metres))
             files["depth_picture"] = str(file)
-        for file in std_files:
-            write_depth(file, result.depth_std(calibration))
-            _list(files, f"depth_std{file.suffix}", file)
+        if std_files:
+            deviation = result.depth_std(calibration)
+            for file in std_files:
+                write_depth(file, deviation)
+                _list(files, f"depth_std{file.suffix}", file)
     if calibration is not None and point_files:
         cloud = result.points(calibration)
         for file in point_files:

@@ -144,7 +144,6 @@ class StereoMatcher(TensorMatcher):
             scale=scale,
             shift=shift,
         )
-        self.confidence = confidence
         self.left_right = left_right
         self.rectifier = None if rig is None else Rectifier(_read_rig(rig))
 

@@ -265,7 +265,7 @@ class StereoResult:
 
     def _depth(
         self,
-        calibration: Calibration | str | Path | None,
+        calibration: Calibration,
         min_confidence: float = 0.0,
         max_depth: float = math.inf,
         edges: bool = False,
@@ -287,7 +287,7 @@ class StereoResult:
             kept = kept & ~self.occluded
         if not limits.edges:
             kept = kept & ~depth_edges(self.disparity, self.valid)
-        depth = depth_from_disparity(self.disparity, kept, self._geometry(calibration))
+        depth = depth_from_disparity(self.disparity, kept, calibration)
         return np.where(depth <= limits.max_depth, depth, np.float32(0))
 
     def to_open3d(self, calibration: Calibration | str | Path | None = None, **limits: Any) -> Any:

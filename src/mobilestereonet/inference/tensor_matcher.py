@@ -31,6 +31,7 @@ class TensorMatcher:
     Attributes:
         engine: Engine that computes the disparity; it has the name, precision and device.
         model: Name of the model.
+        confidence: Whether a confidence is asked for, see `StereoMatcher`.
         padding: Height and width to which views are padded with zeros; None if they are not.
         tile: Height and width of the tiles in which larger views are matched, or "auto".
         refine: Whether the disparity is refined.
@@ -91,6 +92,7 @@ class TensorMatcher:
                 "min-confidence and refine; left-right works"
             )
         self.model = name or str(getattr(self.engine, "model", self.engine.name))
+        self.confidence = confidence
         self.padding = padding
         self.tile = tile
         self.refine = refine

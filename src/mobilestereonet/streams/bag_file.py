@@ -86,11 +86,11 @@ class BagFile(BagWriter):
         if calibration is not None:
             right_stamp = stamp if frame.right_stamp is None else frame.right_stamp
             right_frame = frame.right_frame_id or RIGHT_FRAME_ID
-            headers = header, self.header(right_stamp, right_frame, frame.index)
-            for side, each in zip(("left", "right"), headers, strict=True):
-                messages[f"{side}/camera_info"] = self._messages.camera_info(
-                    each, result, calibration, right=side == "right"
-                )
+            right_header = self.header(right_stamp, right_frame, frame.index)
+            messages["left/camera_info"] = messages["camera_info"]
+            messages["right/camera_info"] = self._messages.camera_info(
+                right_header, result, calibration, right=True
+            )
         for name, message in messages.items():
             topic = posixpath.join(self.namespace, name)
             if topic not in self._taken:

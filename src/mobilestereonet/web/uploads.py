@@ -67,7 +67,8 @@ def admit_pair(
 
     Two files are left and right by their names: ``im0 im1``, ``left right``, ``a_L a_R``. One
     with both views is split into them. Another one joins the view that waits for it; where none
-    does, it is the left one of a new pair. What is refused changes nothing.
+    does, it is the left one of a new pair. What is refused changes nothing. A picture that is kept
+    as it is is not decoded yet, and a good upload stays until gradio deletes it.
 
     Args:
         files: Where the browser says that its uploads are, with their names: not to be trusted.
@@ -76,7 +77,8 @@ def admit_pair(
         limits: Largest size that is taken.
 
     Raises:
-        InputError: If there is none, there are more than two, or `admit` refuses one.
+        InputError: If there is none, there are more than two, or one is no file that was just
+            uploaded, too large, or no picture. A bad upload is deleted.
     """
     if len(files) > 2:
         raise InputError(f"these are {len(files)} pictures: drop the left and the right one")
@@ -104,29 +106,6 @@ def admit_pair(
             session.drop("right")
 
 
-def admit(upload: Path, uploads: Path, session: Session, side: str, limits: UploadLimits) -> Path:
-    """Copy an uploaded picture into a session, or delete it. It is not decoded yet.
-
-    A good upload stays until gradio deletes it.
-
-    Args:
-        upload: Where the browser says that its upload is: not to be trusted.
-        uploads: Folder of all uploads, and of the sessions' files.
-        session: The visitor's session.
-        side: ``left`` or ``right``.
-        limits: Largest size that is taken.
-
-    Returns:
-        The file in the session, with a name of ours.
-
-    Raises:
-        InputError: If it is no file that was just uploaded, too large, or no picture. A bad
-            upload is deleted.
-    """
-    upload, suffix = _checked(upload, uploads, side, limits)
-    return _keep(upload, session, side, suffix)
-
-
 def _checked(upload: Path, uploads: Path, side: str, limits: UploadLimits) -> tuple[Path, str]:
     """A good upload and the suffix of its format; a bad one is deleted."""
     upload = _uploaded(upload, uploads, f"{side} picture")
@@ -137,13 +116,14 @@ def _checked(upload: Path, uploads: Path, side: str, limits: UploadLimits) -> tu
         raise
 
 
-def _keep(upload: Path, session: Session, side: str, suffix: str) -> Path:
+def _keep(upload: Path, session: Session, side: str, suffix: str) -> None:
+    """Copy a good upload into a session, with a name of ours."""
     with session.replace(side) as folder:
-        return Path(shutil.copyfile(upload, folder / f"{side}{suffix}"))
+        shutil.copyfile(upload, folder / f"{side}{suffix}")
 
 
 def admit_calibration(upload: Path, uploads: Path, session: Session) -> None:
-    """Copy an uploaded calibration file into a session's slot ``calibration``, see `admit`."""
+    """Copy an uploaded calibration file into a session's slot ``calibration``, see `admit_pair`."""
     name = "calibration file"
     upload = _uploaded(upload, uploads, name)
     suffix = upload.suffix.lower()
