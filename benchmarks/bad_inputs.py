@@ -6,8 +6,7 @@ Each case runs in this process, in a folder of its own with a small pair, and wi
 WORD limits the cases to those whose command line holds it. Prints a table by kind of input and
 every case that was not clean. A case is clean if it is refused in one line (exit code 2), or if it
 says what is wrong beside its result; those marked as good must pass. A file that was there before
-must be as it was, and none that is new may be cut off. One file is known
-to be silently wrong, three times: hole.jpg, whose data ends as if whole (docs/limits.md).
+must be as it was, and none that is new may be cut off.
 """
 
 from __future__ import annotations

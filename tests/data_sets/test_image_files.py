@@ -316,6 +316,48 @@ def test_a_jpeg_of_print_colours_is_read_and_checked_as_far_as_can_be(tmp_path, 
         read_image(path)
 
 
+def test_a_hole_after_which_a_jpeg_goes_on_as_if_whole(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (48, 96, 3), dtype=np.uint8)
+    path, whole = tmp_path / "a.jpg", cv2.imencode(".jpg", noise)[1].tobytes()
+    path.write_bytes(whole[:3000] + whole[4500:])  # a decoder does not notice this one
+    with pytest.warns(UserWarning, match=r"a\.jpg: some of its blocks .* bytes .* are missing"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+@pytest.mark.parametrize("levels", [9, -30])
+def test_brightness_that_changes_from_one_block_on(tmp_path, subsampling, levels):
+    path = tmp_path / "a.jpg"
+    large = cv2.GaussianBlur(RNG.integers(0, 256, (160, 240, 3), dtype=np.uint8), (0, 0), 2) // 2
+    large += 60
+    barred = large.copy()
+    barred[:32] = barred[-32:] = 0  # as of a film: a step in every column is no staircase
+    for image in (large, barred):
+        path.write_bytes(encoded("JPEG", image, quality=85, subsampling=subsampling))
+        with warnings.catch_warnings(action="error"):
+            read_image(path)
+    rows = 8 if subsampling == "4:4:4" else 16
+    shifted = large.astype(int)
+    shifted[64 : 64 + rows, 128:] += levels
+    shifted[64 + rows :] += levels
+    content = encoded("JPEG", shifted.astype(np.uint8), quality=85, subsampling=subsampling)
+    path.write_bytes(content)
+    with pytest.warns(UserWarning, match=r"a\.jpg: .* along row 64, .* bytes .* are missing"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("quality", [10, 50, 90])
+@pytest.mark.parametrize("paper", [0, 255])
+def test_dots_and_letters_are_no_missing_bytes(tmp_path, quality, paper):
+    page = np.full((256, 256, 3), paper, np.uint8)
+    page[RNG.random(page.shape[:2]) < 0.02] = 255 - paper
+    for row in range(20, 250, 20):
+        cv2.putText(page, "gjqy 0189 %", (5, row), 0, 0.5, (255 - paper,) * 3)
+    (tmp_path / "a.jpg").write_bytes(encoded("JPEG", page, quality=quality))
+    with warnings.catch_warnings(action="error"):
+        assert read_image(tmp_path / "a.jpg").shape == page.shape
+
+
 def test_long_texts_in_a_png_are_no_damage(tmp_path):
     texts = PngImagePlugin.PngInfo()
     texts.add_text("parameters", "a" * 2_000_000, zip=True)

@@ -18,6 +18,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from mobilestereonet.data.files import read_bytes
 from mobilestereonet.data.images import Array
 from mobilestereonet.data.jpeg_files import check_jpeg, cut_frames
+from mobilestereonet.data.jpeg_traces import missing_bytes
 from mobilestereonet.data.png_files import SIGNATURE, check_png, png_pixels
 from mobilestereonet.data.quiet import quiet_decoders
 from mobilestereonet.data.tiff_files import check_tiff
@@ -171,15 +172,25 @@ def _decode(path: str | Path, content: bytes) -> _Stored:
     orientation = _orientation(image.getexif)
     if image.format == "TIFF":
         return _Stored(_decode_tiff(path, content, image), orientation, applied=True)
-    is_jpeg = image.format in ("JPEG", "MPO")
+    if image.format in ("JPEG", "MPO"):
+        _check_jpeg(path, content, image)
+    else:
+        with _damage_reported(path):
+            image.load()
+    return _Stored(_decode_by_opencv(path, content), orientation)
+
+
+def _check_jpeg(path: str | Path, content: bytes, image: Any) -> None:
     with _damage_reported(path):
-        checked = is_jpeg and check_jpeg(content)
+        checked = check_jpeg(content)
         if not checked:
-            image.load()  # of a JPEG it tells whether it is cut, no more
-    if is_jpeg and not checked:
+            image.load()  # tells whether the file is cut, no more
+    if not checked:
         text = f"a JPEG of {image.mode} with subsampled colours: damage within it is not noticed"
         warnings.warn(f"{path}: {text}", stacklevel=2)
-    return _Stored(_decode_by_opencv(path, content), orientation)
+    elif trace := missing_bytes(content):
+        text = f"{trace}, as where bytes of a JPEG are missing: look at it, or copy it again"
+        warnings.warn(f"{path}: {text}", stacklevel=2)
 
 
 def _decode_png(path: str | Path, content: bytes) -> _Stored:

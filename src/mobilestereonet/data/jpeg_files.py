@@ -39,7 +39,7 @@ def check_jpeg(content: bytes) -> bool:
         ValueError: If parts of it are missing or damaged.
     """
     try:
-        simplejpeg.decode_jpeg(_without_notes(content), "GRAY", min_factor=8, strict=True)
+        simplejpeg.decode_jpeg(without_notes(content), "GRAY", min_factor=8, strict=True)
     except ValueError as error:
         if _UNKNOWN_SUBSAMPLING in str(error):
             return False
@@ -68,13 +68,7 @@ def cut_frames(image: Any, content: bytes) -> list[bytes]:
     return frames if len(frames) == 2 and len(sizes) == 1 else [content]
 
 
-def _is_harmless(warning: str, content: bytes) -> bool:
-    if filling := _FILLING.search(warning):
-        return bytes(int(filling[1])) + b"\xff\xd9" in content
-    return warning.startswith("Unsupported") and not warning.startswith("Unsupported marker")
-
-
-def _without_notes(content: bytes) -> bytes:
+def without_notes(content: bytes) -> bytes:
     """The JPEG without what libjpeg may warn of although the picture does not depend on it.
 
     It tells the first warning alone, which would hide one of missing data: of notes in another
@@ -91,3 +85,9 @@ def _without_notes(content: bytes) -> bytes:
     if sequential:
         scans = _SCAN.sub(lambda header: header[1] + b"\0\x3f\0", scans)
     return b"".join((*kept, scans))
+
+
+def _is_harmless(warning: str, content: bytes) -> bool:
+    if filling := _FILLING.search(warning):
+        return bytes(int(filling[1])) + b"\xff\xd9" in content
+    return warning.startswith("Unsupported") and not warning.startswith("Unsupported marker")
