@@ -88,7 +88,7 @@ class ExportableNet(nn.Module):
         self.requires_grad_(False).eval()
 
     def _build(self, net: StereoModel) -> None:
-        use_closed_form(net, in_rows=False)
+        use_closed_form(net, in_tiles=False)
         self.net = net
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor | tuple[Tensor, ...]:
@@ -162,7 +162,7 @@ class ExportableMobileStereoNet(ExportableNet):
 
     def _build(self, net: StereoModel) -> None:
         assert isinstance(net, MobileStereoNet)
-        self.regression = ClosedFormSoftArgmax(net.regression, in_rows=False)
+        self.regression = ClosedFormSoftArgmax(net.regression, in_tiles=False)
         self.features, self.reduction = net.features, net.reduction
         self.volume = (
             BlockwiseLearnedVolume(net.volume)

@@ -69,12 +69,15 @@ class FusedPreHourglass(nn.Module):
 
     def __init__(self, blocks: PreHourglass) -> None:
         super().__init__()
-        self.first, self.second = blocks.first, blocks.second
+        self.first = blocks.first
+        layers = (layer for block in blocks.second for layer in cast(nn.Sequential, block))
+        *others, self.last = without_identities(layers)
+        self.others = nn.Sequential(*others)
 
     def forward(self, volume: Tensor) -> Tensor:
         """(B, inputs, ...) -> (B, width, ...), same spatial size."""
         x = self.first(volume)
-        return cast(Tensor, self.second(x).add_(x))
+        return _add_layer(x, self.last, self.others(x))
 
 
 class FusedHourglass(nn.Module):
@@ -90,5 +93,13 @@ class FusedHourglass(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, width, ...), spatial sizes multiples of 4 -> the same shape."""
         half = self.down1(x)
-        half = self.up5(self.down2(half)).add_(self.redirect2(half)).relu_()
-        return cast(Tensor, self.up6(half).add_(self.redirect1(x)).relu_())
+        half = _add_layer(self.up5(self.down2(half)), self.redirect2, half, relu=True)
+        return _add_layer(self.up6(half), self.redirect1, x, relu=True)
+
+
+def _add_layer(total: Tensor, layer: nn.Module, x: Tensor, *, relu: bool = False) -> Tensor:
+    """``total + layer(x)`` in place of ``total``, and a ReLU of it."""
+    if isinstance(layer, SlicedV2Block):
+        return cast(Tensor, layer(x, total, relu=relu))
+    total = total.add_(layer(x))
+    return total.relu_() if relu else total

@@ -24,6 +24,7 @@ from mobilestereonet.accelerate.group_correlation import StackedCorrelation
 from mobilestereonet.accelerate.guided import aggregate_in_lines
 from mobilestereonet.accelerate.modules import device_of, inference_copy, replace_modules
 from mobilestereonet.accelerate.norms import fold_norms
+from mobilestereonet.accelerate.onednn import FusedConv
 from mobilestereonet.accelerate.planewise import (
     PlanewiseLearnedVolume,
     StackedPlanes,
@@ -135,15 +136,15 @@ class MoveAxis(nn.Module):
 
 
 class ColumnGuide(nn.Module):
-    """`Guide` on columns first, summed in place."""
+    """`Guide` on columns first: convolution and sum in one pass."""
 
     def __init__(self, guide: nn.Conv3d) -> None:
         super().__init__()
-        self.conv = nn.Sequential(guide_convolution(guide))
+        self.conv = FusedConv(guide_convolution(guide))
 
     def forward(self, x: Tensor, guidance: Tensor) -> Tensor:
         """(B, width, W, D, H) and guidance (B, D, H, W) -> (B, width, W, D, H)."""
-        return cast(Tensor, self.conv(guidance.unsqueeze(1).movedim(-1, 2))).add_(x)
+        return cast(Tensor, self.conv(guidance.unsqueeze(1).movedim(-1, 2), x))
 
 
 def guide_convolution(guide: nn.Conv3d) -> nn.Conv3d:

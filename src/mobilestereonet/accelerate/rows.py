@@ -49,21 +49,35 @@ class SlicedV2Block(nn.Module):
         self.project = FusedConv(project)
         self.skip = block.skip
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, inputs, ...) -> (B, outputs, ...), spatial sizes divided by the stride."""
+    def forward(self, x: Tensor, onto: Tensor | None = None, *, relu: bool = False) -> Tensor:
+        """Apply the block.
+
+        Args:
+            x: (B, inputs, ...).
+            onto: Tensor of the result's shape that the result is added to, in place, while its
+                rows are in the cache.
+            relu: Whether a ReLU follows that sum.
+
+        Returns:
+            (B, outputs, ...), spatial sizes divided by the stride; ``onto`` where it is given.
+        """
         stride = self.depthwise.conv.stride[0]
         height = (x.shape[2] - 1) // stride + 1
         hidden_row = x[:, 0, 0].numel() * self.depthwise.conv.in_channels * x.element_size()
         rows = max(SLICE_BYTES // hidden_row // stride, MIN_ROWS)
         if rows >= height:
-            return self._project(self.depthwise(self.expand(x)), x)
-        result: Tensor | None = None
+            y = self._project(self.depthwise(self.expand(x)), x)
+            return y if onto is None else _add(onto, y, relu=relu)
+        result = onto
         for top in range(0, height, rows):
             bottom = min(top + rows, height)
             y = self._project(self._hidden(x, top, bottom), x[:, :, top:bottom])
             if result is None:
                 result = _empty_like(y, height)
-            result[:, :, top:bottom] = y
+            if onto is None:
+                result[:, :, top:bottom] = y
+            else:
+                _add(result[:, :, top:bottom], y, relu=relu)
         return cast(Tensor, result)
 
     def _hidden(self, x: Tensor, top: int, bottom: int) -> Tensor:
@@ -116,6 +130,11 @@ def _rows(
     if layer is not None:
         y = layer(y)
     return F.pad(y, (0, 0) * (x.ndim - 3) + (above, below)) if above or below else y
+
+
+def _add(onto: Tensor, x: Tensor, *, relu: bool) -> Tensor:
+    total = onto.add_(x)
+    return total.relu_() if relu else total
 
 
 def _empty_like(part: Tensor, height: int) -> Tensor:

@@ -15,6 +15,7 @@ worked example: ``docs/how-it-works.md``, "The head".
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -42,8 +43,11 @@ _MARGIN = 7.0
 _CACHED_ELEMENTS = 1 << 17
 """Elements of a temporary that stays in the processor's cache."""
 
-_ROWS = 4
-"""Rows of scores that are upsampled at a time."""
+_TILE = (4, 64)
+"""Rows and columns of scores that are upsampled at a time."""
+
+_KEPT = 2
+"""Planes of a flat end that stay: the neighbourhoods that reach into it from inside need them."""
 
 
 class ClosedFormSoftArgmax(SoftArgmax):
@@ -51,21 +55,21 @@ class ClosedFormSoftArgmax(SoftArgmax):
 
     Args:
         regression: What it replaces.
-        in_rows: Work on some rows at a time where no gradient is asked for. False for graphs that
-            are traced: one graph serves all sizes, see `closed_form_by_phase`.
+        in_tiles: Work on small tiles where no gradient is asked for. False for graphs that are
+            traced: one graph serves all sizes, see `closed_form_by_phase`.
 
     Raises:
         InputError: If the scale is another one, or corners are aligned.
     """
 
-    def __init__(self, regression: SoftArgmax, *, in_rows: bool = True) -> None:
+    def __init__(self, regression: SoftArgmax, *, in_tiles: bool = True) -> None:
         super().__init__(regression.scale, regression.estimator)
         if not has_closed_form(regression):
             raise InputError(
                 f"the closed form is for a scale of {SCALE} and half-pixel centres, not for "
                 f"{regression.scale}{' and aligned corners' if regression.align_corners else ''}"
             )
-        self.in_rows = in_rows
+        self.in_tiles = in_tiles
 
     def forward(self, scores: Tensor) -> Tensor:
         """Scores (B, D, H, W) to disparity (B, 4 H, 4 W) in pixels."""
@@ -80,12 +84,12 @@ class ClosedFormSoftArgmax(SoftArgmax):
         if scores.requires_grad and torch.is_grad_enabled():
             disparity: Tensor = _soft_argmax(upsample(scores), estimator == "mode")[0]
             return disparity
-        if not self.in_rows:
+        if not self.in_tiles:
             return closed_form_by_phase(scores, estimator)
-        # On a GPU few large kernels are faster than rows that stay in a cache.
+        # On a GPU few large kernels are faster than tiles that stay in a cache.
         if scores.is_cuda or torch.compiler.is_compiling():
             return closed_form(upsample(scores), estimator)
-        return torch.cat(list(_by_rows(scores, estimator)), dim=1)
+        return _by_tiles(scores, estimator)
 
     def confidence(self, scores: Tensor) -> Tensor:
         """As `SoftArgmax.confidence`, on tensors of four dimensions."""
@@ -111,12 +115,14 @@ def has_closed_form(regression: SoftArgmax) -> bool:
     return regression.scale == SCALE and not regression.align_corners
 
 
-def use_closed_form(net: nn.Module, *, in_rows: bool = True) -> None:
+def use_closed_form(net: nn.Module, *, in_tiles: bool = True) -> None:
     """Replace the soft-argmax of a network, in place, where it has a closed form."""
     replace_modules(
         net,
         SoftArgmax,
-        lambda head: ClosedFormSoftArgmax(head, in_rows=in_rows) if has_closed_form(head) else head,
+        lambda head: (
+            ClosedFormSoftArgmax(head, in_tiles=in_tiles) if has_closed_form(head) else head
+        ),
     )
 
 
@@ -127,10 +133,12 @@ class Intervals(NamedTuple):
     first: Tensor  # first moment of the disparity about the interval's centre
     sides: Tensor  # the two inner terms are this ...
     product: Tensor  # ... times this
-    below: Tensor  # (B, H, W), the two fine terms below the first plane
-    above: Tensor  # the two above the last plane
+    below: Tensor  # (B, H, W), the fine terms below the first plane
+    above: Tensor  # those above the last plane
     peak: Tensor  # (B, H, W), the score whose exponential all sums are over
     centres: Tensor  # (D - 1, 1, 1), in pixels
+    ends: tuple[float, float]  # centres of the fine terms below and above, in pixels
+    left_out: tuple[int, int]  # planes below and above that are as the outer ones
 
     @property
     def total(self) -> Tensor:
@@ -156,7 +164,7 @@ class Intervals(NamedTuple):
         )
 
 
-def intervals(scores: Tensor) -> Intervals:
+def intervals(scores: Tensor, left_out: tuple[int, int] = (0, 0)) -> Intervals:
     """Sums over the fine terms of scores (B, D, H, W), as `closed_form` takes them.
 
     Between planes whose scores have the exponentials p^8 and q^8 the fine terms are p^7 q, p^5 q^3,
@@ -176,21 +184,24 @@ def intervals(scores: Tensor) -> Intervals:
     product = low * high
     mass = sides * squares
     first = (high - low).mul_(both).mul_((1.5 * squares).add_(product, alpha=2))
-    below, above = (2 * end * end for end in (half[:, 0], half[:, -1]))
+    counts = [SCALE // 2 + SCALE * planes for planes in left_out]
+    below, above = (n * end * end for n, end in zip(counts, (half[:, 0], half[:, -1]), strict=True))
+    first_plane, planes = left_out[0], scores.shape[1] + sum(left_out)
     centres = torch.arange(scores.shape[1] - 1, dtype=scores.dtype, device=scores.device)
-    centres = (SCALE * centres + (SCALE + 3) / 2)[:, None, None]
-    return Intervals(mass, first, sides, product, below, above, peak[:, 0], centres)
+    centres = (SCALE * (centres + first_plane) + (SCALE + 3) / 2)[:, None, None]
+    ends = (counts[0] - 1) / 2, SCALE * planes - (counts[1] + 1) / 2
+    return Intervals(mass, first, sides, product, below, above, peak[:, 0], centres, ends, left_out)
 
 
-def _expectation(m: Intervals, planes: int) -> tuple[Tensor, Tensor]:
+def _expectation(m: Intervals) -> tuple[Tensor, Tensor]:
     """Expected disparity and the softmax's denominator, each (B, H, W)."""
     total = m.total
     moment = (m.centres * m.mass + m.first).sum(dim=1)
-    ends = 0.5 * m.below + (SCALE * planes - 1.5) * m.above
+    ends = m.ends[0] * m.below + m.ends[1] * m.above
     return (moment + ends) / total, total
 
 
-def closed_form(scores: Tensor, estimator: Estimator) -> Tensor:
+def closed_form(scores: Tensor, estimator: Estimator, left_out: tuple[int, int] = (0, 0)) -> Tensor:
     """Expected disparity of scores whose upsampling in height and width is done.
 
     Plain operators only.
@@ -198,23 +209,27 @@ def closed_form(scores: Tensor, estimator: Estimator) -> Tensor:
     Args:
         scores: (B, D, H, W), planes at the disparities 1.5, 5.5, 9.5 ...
         estimator: See `SoftArgmax`.
+        left_out: Planes below the first and above the last one that have the same scores as these,
+            see `flat_ends`.
 
     Returns:
         Disparity (B, H, W) in pixels.
     """
-    m = intervals(scores)
-    if estimator == "mode":
-        return _dominant_expectation(m, scores.shape[1])
-    return _expectation(m, scores.shape[1])[0]
+    m = intervals(scores, left_out)
+    return _dominant_expectation(m) if estimator == "mode" else _expectation(m)[0]
 
 
-def _dominant_expectation(m: Intervals, planes: int) -> Tensor:
+def _dominant_expectation(m: Intervals) -> Tensor:
     """Expected disparity of the dominant mode, (B, H, W): that of three intervals or of all."""
     below, above = m.below.unsqueeze(1), m.above.unsqueeze(1)
     masses = torch.cat((below, m.mass, above), dim=1)
     between = torch.addcmul(m.first, m.mass, m.centres)
-    moments = torch.cat((0.5 * below, between, (SCALE * planes - 1.5) * above), dim=1)
-    mass, moment = ((of[:, :-2] + of[:, 1:-1]).add_(of[:, 2:]) for of in (masses, moments))
+    moments = torch.cat((m.ends[0] * below, between, m.ends[1] * above), dim=1)
+    # An end that stands for planes left out is no interval; nor is any of them the most likely.
+    kept = slice(int(m.left_out[0] > 0), masses.shape[1] - int(m.left_out[1] > 0))
+    mass, moment = (
+        (of[:, :-2] + of[:, 1:-1]).add_(of[:, 2:]) for of in (masses[:, kept], moments[:, kept])
+    )
     most = mass.amax(dim=1, keepdim=True)
     likeliest = (mass >= most).to(mass.dtype)
     mode = moment.mul_(likeliest).sum(dim=1) / (most[:, 0] * likeliest.sum(dim=1))
@@ -252,17 +267,49 @@ def _phases(scores: Tensor, dim: int) -> Iterator[Tensor]:
         yield scores * (1 - weight) + neighbour * weight
 
 
-def _by_rows(scores: Tensor, estimator: Estimator) -> Iterator[Tensor]:
-    """Disparity of some rows at a time, so that not even the upsampled scores exist as a whole."""
-    height = scores.shape[2]
-    for top in range(0, height, _ROWS):
-        bottom = min(top + _ROWS, height)
-        # The row above and the one below are what the interpolation also looks at.
-        first = max(top - 1, 0)
-        fine = upsample(scores[:, :, first : bottom + 1])
-        fine = fine[:, :, SCALE * (top - first) : SCALE * (bottom - first)]
-        for rows in fine.split(cached_rows(fine), dim=2):
-            yield closed_form(rows, estimator)
+def _by_tiles(scores: Tensor, estimator: Estimator) -> Tensor:
+    """Disparity of one tile at a time, so that not even the upsampled scores exist as a whole."""
+    (rows, columns), (height, width) = _TILE, scores.shape[2:]
+    disparity = scores.new_empty(len(scores), SCALE * height, SCALE * width)
+    banded = any(bool((scores[:, i] == scores[:, j]).any()) for i, j in ((0, 1), (-1, -2)))
+    for top, left in itertools.product(range(0, height, rows), range(0, width, columns)):
+        bottom, right = min(top + rows, height), min(left + columns, width)
+        # The pixels around the tile are what the interpolation also looks at.
+        y, x = max(top - 1, 0), max(left - 1, 0)
+        tile = scores[:, :, y : bottom + 1, x : right + 1]
+        left_out = flat_ends(tile) if banded else (0, 0)
+        fine = upsample(tile[:, left_out[0] : tile.shape[1] - left_out[1]])
+        fine = fine[:, :, SCALE * (top - y) :, SCALE * (left - x) :]
+        result = disparity[:, SCALE * top : SCALE * bottom, SCALE * left : SCALE * right]
+        fine = fine[:, :, : result.shape[1], : result.shape[2]]
+        step = cached_rows(fine)
+        for part, target in zip(fine.split(step, 2), result.split(step, 1), strict=True):
+            target.copy_(closed_form(part, estimator, left_out))
+    return disparity
+
+
+def flat_ends(scores: Tensor) -> tuple[int, int]:
+    """Planes at either end that can be left out, as those next to them have the same scores.
+
+    So it is outside of the bands of a cascade. No plane is left out that may belong to the dominant
+    mode: one does not where the end has the lowest score of all planes and another one a higher.
+
+    Args:
+        scores: (B, D, H, W).
+
+    Returns:
+        How many to leave out below and above.
+    """
+    lowest, peak = scores.aminmax(dim=1)
+    left_out = []
+    for planes in (scores, scores.flip(1)):
+        end = planes[:, 0]
+        if bool(((end > lowest) | (end == peak)).any()):
+            left_out.append(0)
+        else:
+            same = (planes == planes[:, :1]).flatten(2).all(dim=2).all(dim=0)
+            left_out.append(max(0, int(same.logical_not().int().argmax()) - _KEPT))
+    return left_out[0], left_out[1]
 
 
 def cached_rows(scores: Tensor) -> int:
@@ -320,7 +367,7 @@ def _disparity_and_derivative(
     m = intervals(scores)
     if estimator == "mode":
         m = m.dominant()
-    found, total = _expectation(m, scores.shape[1])
+    found, total = _expectation(m)
     disparity.copy_(found)
     scale = 0.5 / total.unsqueeze(1)
     offset = m.centres - found.unsqueeze(1)
