@@ -26,7 +26,7 @@ def inputs(band, width=17):
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("band", [False, True])
 def test_it_equals_the_loop(band, form, rows, width, monkeypatch):
-    monkeypatch.setattr(group_correlation, "_CACHED_ELEMENTS", rows * 32 * width)
+    monkeypatch.setattr(group_correlation, "_CACHED_BYTES", rows * 32 * width * 8)
     plain = Correlation(8)
     views, start = inputs(band, width)
     with torch.no_grad():

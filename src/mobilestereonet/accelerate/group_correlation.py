@@ -15,8 +15,8 @@ from torch import Tensor
 
 from mobilestereonet.nets.cost_volumes import Correlation
 
-_CACHED_ELEMENTS = 1 << 19
-"""Elements of the products of some rows, which stay in the processor's cache."""
+_CACHED_BYTES = 1 << 23
+"""Bytes of the products of some rows, which stay in the processor's cache."""
 
 
 class StackedCorrelation(Correlation):
@@ -92,7 +92,7 @@ def _blocks(view: Tensor) -> Iterator[tuple[slice, slice]]:
     if view.is_cuda:
         yield slice(batch), slice(height)
         return
-    step = max(1, _CACHED_ELEMENTS // (width * channels))
+    step = max(1, _CACHED_BYTES // (width * channels * view.element_size()))
     for image in range(batch):
         for top in range(0, height, step):
             yield slice(image, image + 1), slice(top, top + step)
