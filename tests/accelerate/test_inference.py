@@ -16,11 +16,16 @@ from mobilestereonet.accelerate.inference import (
 )
 from mobilestereonet.accelerate.norms import fold_norms
 from mobilestereonet.accelerate.rows import process_by_rows
-from mobilestereonet.accelerate.soft_argmax import use_closed_form
+from mobilestereonet.accelerate.soft_argmax import (
+    ClosedFormSoftArgmax,
+    flat_ends,
+    use_closed_form,
+)
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models
 from mobilestereonet.nets.blocks import V2Block
-from mobilestereonet.nets.coarse_pass import guidance_from_scores
+from mobilestereonet.nets.coarse_pass import guidance_from_scores, spread_band
+from mobilestereonet.nets.soft_argmax import SoftArgmax
 from mobilestereonet.weights import load_model
 from parity import OUTPUTS, authors_state, largest_error
 
@@ -128,6 +133,48 @@ def test_a_block_in_slices(dims, outputs, stride, dilation, size, monkeypatch):
             for step in (fold_norms, process_by_rows, fuse_convolutions):
                 step(sliced)
             torch.testing.assert_close(sliced(x), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 24000])
+@pytest.mark.parametrize("relu", [False, True])
+def test_a_block_adds_its_rows_to_another_tensor(relu, size, monkeypatch):
+    slices_of(monkeypatch, size)
+    torch.manual_seed(0)
+    x, onto = torch.randn(2, 1, 4, 11, 5, 7, dtype=torch.float64)
+    layers = nn.Sequential(V2Block(3, 4, 4, expansion=3)).double().eval()
+    with torch.inference_mode():
+        expected = onto + layers(x)
+        for step in (fold_norms, process_by_rows, fuse_convolutions):
+            step(layers)
+        found = layers[0](x, onto, relu=relu)
+    assert found is onto
+    torch.testing.assert_close(found, expected.relu() if relu else expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("estimator", ["mean", "mode"])
+@pytest.mark.parametrize("spread", [0.3, 3, 12])
+def test_planes_outside_of_bands_are_one_term_of_the_closed_form(estimator, spread):
+    torch.manual_seed(0)
+    band = torch.randn(2, 16, 12, 150, dtype=torch.float64) * spread
+    start = 8 * torch.randint(0, 5, (2, 3, 3)).repeat_interleave(4, 1).repeat_interleave(50, 2)
+    scores = spread_band(band, start, 48)
+    plain = SoftArgmax(4, estimator)
+    found = ClosedFormSoftArgmax(plain)(scores)
+    torch.testing.assert_close(found, plain(scores), rtol=0, atol=1e-9)
+    assert flat_ends(scores[1:, :, :4, 101:]) != (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("score", "pixels", "left_out"),
+    [(2, slice(None), (4, 3)), (0, slice(None), (0, 0)), (-2, slice(None), (0, 0)), (2, 3, (0, 0))],
+)
+def test_flat_ends_that_may_be_likeliest_are_kept(score, pixels, left_out):
+    scores = torch.zeros(1, 12, 5, 70, dtype=torch.float64)
+    scores[:, 6, pixels] = score
+    assert flat_ends(scores) == left_out
+    plain = SoftArgmax(4, "mode" if any(left_out) else "mean")
+    found = ClosedFormSoftArgmax(plain)(scores)
+    torch.testing.assert_close(found, plain(scores), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("conv3d_as_2d", [False, True])

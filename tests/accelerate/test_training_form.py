@@ -151,7 +151,7 @@ def test_closed_form_equals_upsampling_softmax_and_expectation(scale, estimator)
         results.append((disparity, torch.autograd.grad((disparity * probe).sum(), inputs)[0]))
     for expected, found in zip(*results, strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
-    with torch.no_grad():  # by rows
+    with torch.no_grad():  # by tiles
         torch.testing.assert_close(closed(scores), results[0][0], rtol=0, atol=1e-9)
         torch.testing.assert_close(
             closed.confidence(scores), plain.confidence(scores), rtol=0, atol=1e-9
