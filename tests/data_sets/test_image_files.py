@@ -6,6 +6,8 @@ import tracemalloc
 import warnings
 import zlib
 from contextlib import ExitStack, suppress
+from itertools import product
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -320,7 +322,7 @@ def test_a_hole_after_which_a_jpeg_goes_on_as_if_whole(tmp_path):
     noise = np.random.default_rng(0).integers(0, 255, (48, 96, 3), dtype=np.uint8)
     path, whole = tmp_path / "a.jpg", cv2.imencode(".jpg", noise)[1].tobytes()
     path.write_bytes(whole[:3000] + whole[4500:])  # a decoder does not notice this one
-    with pytest.warns(UserWarning, match=r"a\.jpg: some of its blocks .* bytes .* are missing"):
+    with pytest.warns(UserWarning, match=r"a\.jpg: some of its blocks have levels .* be missing"):
         read_image(path)
 
 
@@ -342,7 +344,7 @@ def test_brightness_that_changes_from_one_block_on(tmp_path, subsampling, levels
     shifted[64 + rows :] += levels
     content = encoded("JPEG", shifted.astype(np.uint8), quality=85, subsampling=subsampling)
     path.write_bytes(content)
-    with pytest.warns(UserWarning, match=r"a\.jpg: .* along row 64, .* bytes .* are missing"):
+    with pytest.warns(UserWarning, match=r"a\.jpg: .* along row 64; bytes .* be missing"):
         read_image(path)
 
 
@@ -356,6 +358,57 @@ def test_dots_and_letters_are_no_missing_bytes(tmp_path, quality, paper):
     (tmp_path / "a.jpg").write_bytes(encoded("JPEG", page, quality=quality))
     with warnings.catch_warnings(action="error"):
         assert read_image(tmp_path / "a.jpg").shape == page.shape
+
+
+@pytest.mark.parametrize("marker", [0xC5, 0xCE, 0xCF])
+def test_a_marker_within_the_data_is_damage(tmp_path, marker):
+    whole = WHOLE["jpeg"]
+    middle = len(whole) // 2
+    path = tmp_path / "a.jpg"
+    path.write_bytes(whole[:middle] + bytes((0xFF, marker)) + whole[middle + 2 :])
+    with pytest.raises(InputError, match="not an image that is whole"):
+        read_image(path)
+
+
+def silently_read(path, content):
+    path.write_bytes(content)
+    with warnings.catch_warnings(action="error"):
+        return read_image(path)
+
+
+def test_whites_beyond_white_are_no_missing_bytes(tmp_path):
+    """mozjpeg stores them, so that the edges of letters do not ring."""
+    content = (Path(__file__).parents[1] / "data/mozjpeg.jpg").read_bytes()
+    assert silently_read(tmp_path / "a.jpg", content).shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("noise", [0, 0.5, 1])
+@pytest.mark.parametrize("quality", [30, 45, 59])
+def test_a_smooth_sky_is_no_missing_bytes(tmp_path, quality, noise):
+    y, x = np.mgrid[:400, :640]
+    for slope, tilt in product((0.3, 0.4, 0.5), (-0.005, 0, 0.005)):
+        sky = 30 + slope * y + tilt * x + RNG.normal(0, 1, y.shape) * noise
+        levels = np.rint(sky.clip(0, 255)).astype(np.uint8)
+        silently_read(tmp_path / "a.jpg", encoded("JPEG", levels, quality=quality))
+
+
+def test_tables_of_quantisation_by_any_number(tmp_path):
+    content = bytearray(WHOLE["grey.jpeg"])
+    table, frame = content.find(b"\xff\xdb"), content.find(b"\xff\xc0")
+    content[table + 4] = content[frame + 12] = 1  # number of the table, and who uses it
+    silently_read(tmp_path / "a.jpg", bytes(content))
+    content[frame + 12] = 2
+    with pytest.raises(InputError, match="not an image"):
+        silently_read(tmp_path / "b.jpg", bytes(content))
+
+
+def test_black_of_print_is_no_missing_bytes(tmp_path):
+    cmy = RNG.integers(0, 2, (64, 96, 3), np.uint8) * 200
+    black = cmy.min(axis=2, keepdims=True)
+    stream = io.BytesIO()
+    image = Image.fromarray(np.concatenate((cmy - black, black), axis=2), "CMYK")
+    image.save(stream, "JPEG", quality=90, subsampling="4:4:4")
+    silently_read(tmp_path / "a.jpg", stream.getvalue())
 
 
 def test_long_texts_in_a_png_are_no_damage(tmp_path):

@@ -182,14 +182,14 @@ def _decode(path: str | Path, content: bytes) -> _Stored:
 
 def _check_jpeg(path: str | Path, content: bytes, image: Any) -> None:
     with _damage_reported(path):
-        checked = check_jpeg(content)
-        if not checked:
+        grey = check_jpeg(content)
+        if grey is None:
             image.load()  # tells whether the file is cut, no more
-    if not checked:
+    if grey is None:
         text = f"a JPEG of {image.mode} with subsampled colours: damage within it is not noticed"
         warnings.warn(f"{path}: {text}", stacklevel=2)
-    elif trace := missing_bytes(content):
-        text = f"{trace}, as where bytes of a JPEG are missing: look at it, or copy it again"
+    elif trace := missing_bytes(content, grey, image):
+        text = f"{trace}; bytes of the file may be missing: look at it, or copy it again"
         warnings.warn(f"{path}: {text}", stacklevel=2)
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import simplejpeg
+from numpy.typing import NDArray
 
 _SEGMENT = re.compile(rb"\xff+([\xc0-\xfe])(..)", re.DOTALL)
 _SCAN = re.compile(
@@ -28,24 +30,30 @@ _ENTRIES_TAG = 0xB002
 """Of the MP format: attribute, size and place of each picture."""
 
 
-def check_jpeg(content: bytes) -> bool:
+def check_jpeg(content: bytes) -> NDArray[np.uint8] | None:
     """Check that a JPEG has all its data, which OpenCV fills with grey where it has not.
 
     Returns:
-        Whether it could be checked: False if TurboJPEG does not know how its colours are
-        subsampled, as of many JPEG files in CMYK.
+        Its brightness, (H, W). None if it could not be checked: TurboJPEG does not know how its
+        colours are subsampled, as of many JPEG files in CMYK.
 
     Raises:
         ValueError: If parts of it are missing or damaged.
     """
+    picture = without_notes(content)
     try:
-        simplejpeg.decode_jpeg(without_notes(content), "GRAY", min_factor=8, strict=True)
+        return _brightness(picture, strict=True)
     except ValueError as error:
         if _UNKNOWN_SUBSAMPLING in str(error):
-            return False
+            return None
         if not _is_harmless(str(error), content):
             raise
-    return True
+    return _brightness(picture, strict=False)
+
+
+def _brightness(content: bytes, *, strict: bool) -> NDArray[np.uint8]:
+    # Whole: a decoder that makes it smaller tells less.
+    return cast(NDArray[np.uint8], simplejpeg.decode_jpeg(content, "GRAY", strict=strict)[..., 0])
 
 
 def cut_frames(image: Any, content: bytes) -> list[bytes]:
@@ -90,4 +98,6 @@ def without_notes(content: bytes) -> bytes:
 def _is_harmless(warning: str, content: bytes) -> bool:
     if filling := _FILLING.search(warning):
         return bytes(int(filling[1])) + b"\xff\xd9" in content
-    return warning.startswith("Unsupported") and not warning.startswith("Unsupported marker")
+    # Markers of other processes within the data, as random bytes may hold, are damage.
+    damage = ("Unsupported marker", "Unsupported JPEG process")
+    return warning.startswith("Unsupported") and not warning.startswith(damage)
