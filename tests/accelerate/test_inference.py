@@ -135,33 +135,43 @@ def test_a_block_in_slices(dims, outputs, stride, dilation, size, monkeypatch):
             torch.testing.assert_close(sliced(x), expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 1e-4)])
 @pytest.mark.parametrize("size", [1, 24000])
 @pytest.mark.parametrize("relu", [False, True])
-def test_a_block_adds_its_rows_to_another_tensor(relu, size, monkeypatch):
+def test_a_block_adds_its_rows_to_another_tensor(relu, size, dtype, tolerance, monkeypatch):
     slices_of(monkeypatch, size)
     torch.manual_seed(0)
-    x, onto = torch.randn(2, 1, 4, 11, 5, 7, dtype=torch.float64)
-    layers = nn.Sequential(V2Block(3, 4, 4, expansion=3)).double().eval()
+    x, onto = torch.randn(2, 2, 4, 11, 5, 7).to(dtype)
+    before = x.clone()
+    layers = nn.Sequential(V2Block(3, 4, 4, expansion=3)).to(dtype).eval()
     with torch.inference_mode():
         expected = onto + layers(x)
         for step in (fold_norms, process_by_rows, fuse_convolutions):
             step(layers)
         found = layers[0](x, onto, relu=relu)
-    assert found is onto
-    torch.testing.assert_close(found, expected.relu() if relu else expected, rtol=0, atol=1e-12)
+    assert found is onto and x.equal(before)
+    expected = expected.relu() if relu else expected
+    torch.testing.assert_close(found, expected, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("estimator", ["mean", "mode"])
 @pytest.mark.parametrize("spread", [0.3, 3, 12])
-def test_planes_outside_of_bands_are_one_term_of_the_closed_form(estimator, spread):
+def test_planes_outside_of_bands_are_one_term_of_the_closed_form(estimator, spread, monkeypatch):
     torch.manual_seed(0)
-    band = torch.randn(2, 16, 12, 150, dtype=torch.float64) * spread
-    start = 8 * torch.randint(0, 5, (2, 3, 3)).repeat_interleave(4, 1).repeat_interleave(50, 2)
+    band = torch.randn(1, 16, 12, 150, dtype=torch.float64) * spread
+    start = 8 * torch.randint(1, 4, (1, 3, 3)).repeat_interleave(4, 1).repeat_interleave(50, 2)
     scores = spread_band(band, start, 48)
+    left_out = []
+
+    def recorded(tile):
+        left_out.append(flat_ends(tile))
+        return left_out[-1]
+
+    monkeypatch.setattr("mobilestereonet.accelerate.soft_argmax.flat_ends", recorded)
     plain = SoftArgmax(4, estimator)
     found = ClosedFormSoftArgmax(plain)(scores)
     torch.testing.assert_close(found, plain(scores), rtol=0, atol=1e-9)
-    assert flat_ends(scores[1:, :, :4, 101:]) != (0, 0)
+    assert len(left_out) == 9 and all(min(ends) > 0 for ends in left_out)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +183,15 @@ def test_flat_ends_that_may_be_likeliest_are_kept(score, pixels, left_out):
     scores[:, 6, pixels] = score
     assert flat_ends(scores) == left_out
     plain = SoftArgmax(4, "mode" if any(left_out) else "mean")
+    found = ClosedFormSoftArgmax(plain)(scores)
+    torch.testing.assert_close(found, plain(scores), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("planes", "score"), [(8, 0.6), (10, 0.1), (11, 0.1), (48, 0.1), (48, 9)])
+def test_a_flat_end_beside_a_likelier_plane_at_the_other_one(planes, score):
+    scores = torch.zeros(1, planes, 3, 3, dtype=torch.float64)
+    scores[:, -1] = score
+    plain = SoftArgmax(4, "mode")
     found = ClosedFormSoftArgmax(plain)(scores)
     torch.testing.assert_close(found, plain(scores), rtol=0, atol=1e-9)
 

@@ -86,8 +86,8 @@ class ClosedFormSoftArgmax(SoftArgmax):
             return disparity
         if not self.in_tiles:
             return closed_form_by_phase(scores, estimator)
-        # On a GPU few large kernels are faster than tiles that stay in a cache.
-        if scores.is_cuda or torch.compiler.is_compiling():
+        # Elsewhere few large kernels are faster than tiles that stay in a cache.
+        if scores.device.type != "cpu" or torch.compiler.is_compiling():
             return closed_form(upsample(scores), estimator)
         return _by_tiles(scores, estimator)
 
@@ -151,7 +151,8 @@ class Intervals(NamedTuple):
         return self.sides * self.product
 
     def dominant(self) -> Intervals:
-        """The same of the dominant mode alone."""
+        """The same of the dominant mode alone; of scores of which no plane is left out."""
+        assert self.left_out == (0, 0)
         masses = (self.below.unsqueeze(1), self.mass, self.above.unsqueeze(1))
         keep = dominant_mode(torch.cat(masses, dim=1))
         between = keep[:, 1:-1]
@@ -225,7 +226,7 @@ def _dominant_expectation(m: Intervals) -> Tensor:
     masses = torch.cat((below, m.mass, above), dim=1)
     between = torch.addcmul(m.first, m.mass, m.centres)
     moments = torch.cat((m.ends[0] * below, between, m.ends[1] * above), dim=1)
-    # An end that stands for planes left out is no interval; nor is any of them the most likely.
+    # An end that stands for planes left out is no interval, nor likely enough, see `flat_ends`.
     kept = slice(int(m.left_out[0] > 0), masses.shape[1] - int(m.left_out[1] > 0))
     mass, moment = (
         (of[:, :-2] + of[:, 1:-1]).add_(of[:, 2:]) for of in (masses[:, kept], moments[:, kept])
@@ -271,7 +272,10 @@ def _by_tiles(scores: Tensor, estimator: Estimator) -> Tensor:
     """Disparity of one tile at a time, so that not even the upsampled scores exist as a whole."""
     (rows, columns), (height, width) = _TILE, scores.shape[2:]
     disparity = scores.new_empty(len(scores), SCALE * height, SCALE * width)
-    banded = any(bool((scores[:, i] == scores[:, j]).any()) for i, j in ((0, 1), (-1, -2)))
+    # A band ends before the first or the last planes at each pixel.
+    flat = [(scores[:, i] == scores[:, j]).float().mean() for i, j in ((0, 1), (-1, -2))]
+    banded = bool(max(flat) >= 0.5)
+    columns = columns if banded else width
     for top, left in itertools.product(range(0, height, rows), range(0, width, columns)):
         bottom, right = min(top + rows, height), min(left + columns, width)
         # The pixels around the tile are what the interpolation also looks at.
@@ -291,8 +295,10 @@ def _by_tiles(scores: Tensor, estimator: Estimator) -> Tensor:
 def flat_ends(scores: Tensor) -> tuple[int, int]:
     """Planes at either end that can be left out, as those next to them have the same scores.
 
-    So it is outside of the bands of a cascade. No plane is left out that may belong to the dominant
-    mode: one does not where the end has the lowest score of all planes and another one a higher.
+    So it is outside of the bands of a cascade. An end is shortened only if it has, at every pixel,
+    the lowest score of all planes, and another plane a higher one: then no interval in it is in the
+    dominant mode. Where the other plane is the one at the opposite end, whose outer interval is
+    half of one, that needs more planes than three intervals of `MIN_MODE_PROBABILITY` can be of.
 
     Args:
         scores: (B, D, H, W).
@@ -300,6 +306,8 @@ def flat_ends(scores: Tensor) -> tuple[int, int]:
     Returns:
         How many to leave out below and above.
     """
+    if scores.shape[1] * MIN_MODE_PROBABILITY <= 3:
+        return 0, 0
     lowest, peak = scores.aminmax(dim=1)
     left_out = []
     for planes in (scores, scores.flip(1)):

@@ -202,7 +202,7 @@ MSNET2D = NetConfig(dims=2)
 MSNET3D = NetConfig(
     dims=3, channel_reduction=False, cost_volume="groupwise", width=32, v2_relu=False
 )
-CASCADE3D = replace(MSNET3D, hourglasses=2, coarse_pass=True, coarse_hourglasses=1, band=16)
+CASCADE3D = replace(MSNET3D, coarse_pass=True, coarse_hourglasses=1, band=16)
 
 # The baselines have standard convolutions and one hourglass (3D: GwcNet-g with one hourglass; 2D:
 # width 48, as the printed counts say); v2 blocks that the ablations put into them have t = 2.
