@@ -159,7 +159,8 @@ def _stages(stages: list[dict[str, Any]]) -> list[str]:
     for stage in stages:
         if "mean" in stage:
             shares = ", ".join(f"{share:.2f} of {run}" for run, share in stage["of"].items())
-            lines.append(f"| **{stage['mean']}** | the mean: {shares} | | | | |")
+            note = f"; {stage['note']}" if "note" in stage else ""
+            lines.append(f"| **{stage['mean']}** | the mean: {shares}{note} | | | | |")
             continue
         crop = " x ".join(map(str, stage["crop"]))
         values = {"seed": stage["seed"]} if "seed" in stage else {}

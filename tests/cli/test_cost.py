@@ -90,7 +90,7 @@ def test_paper_json(msnet):
 
 def test_what_the_embedded_weights_have_besides_is_said(msnet):
     said = "the embedded weights have coarse_pass=true: --set net.coarse_pass=true counts it\n"
-    size = ("--height", 32, "--width", 64)
+    size = ("--model", "msnet3d", "--height", 32, "--width", 64)
     _, out, _ = msnet("cost", *size)
     assert "msnet3d, two views of 3 x 32 x 64" in out
     assert out.endswith(said)

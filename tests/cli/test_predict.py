@@ -22,7 +22,7 @@ from mobilestereonet.engines.torch import TorchEngine
 def weights(tmp_path_factory):
     torch.manual_seed(1)
     folder = tmp_path_factory.mktemp("weights")
-    for name in ("msnet3d", "msnet2d"):
+    for name in ("msnet3d-cascade", "msnet3d", "msnet2d"):
         path = folder / f"{name}.test-1.safetensors"
         save_weights(create_model(name, max_disparity=32), path, card={"licence": "MIT"})
     return path

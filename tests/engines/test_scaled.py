@@ -36,6 +36,15 @@ def test_disparities_are_in_the_pixels_of_the_views():
     assert engine(left, left).confidence is None
 
 
+def test_the_confidence_is_of_errors_in_the_pixels_of_the_views():
+    inner = Columns()
+    assert ScaledEngine(inner, 0.5).confidence_fit is None
+    inner.confidence_fit = torch.sqrt
+    fit = ScaledEngine(inner, 0.5).confidence_fit
+    # 15/16: below 3 px of the small views. Half of that, 3 px of the views: 3/4.
+    torch.testing.assert_close(fit(torch.tensor([(15 / 16) ** 2])), torch.tensor([3 / 4]))
+
+
 @pytest.mark.parametrize("scale", [0.0, 0.2, 1.5])
 def test_scales_out_of_range(scale):
     with pytest.raises(InputError, match=f"scale must be in 0.25..1, got {scale}"):

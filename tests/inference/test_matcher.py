@@ -330,7 +330,7 @@ def test_defaults_are_the_same_on_every_machine(mode_net, monkeypatch):
     matcher = StereoMatcher(mode_net)
     assert (matcher.engine.name, matcher.engine.precision) == ("torch", "fp32")
     assert matcher.device == torch.device("cpu")
-    assert DEFAULT_MODEL == "msnet3d"
+    assert DEFAULT_MODEL == "msnet3d-cascade"
 
 
 def test_infer_takes_and_gives_batches_of_tensors(mode_net):

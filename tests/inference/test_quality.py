@@ -28,7 +28,8 @@ def test_a_level_is_a_network_with_its_settings(name):
     views = np.random.default_rng(0).integers(0, 255, (2, 40, 70, 3), np.uint8)
     result = matcher(*views)
     assert result.disparity.shape == (40, 70)
-    assert str(result.info).startswith(f"{name} ({level.model}) on torch fp32")
+    size = "" if level.scale == 1 else f"at {level.scale:g} of the size "
+    assert str(result.info).startswith(f"{name} ({level.model}) {size}on torch fp32")
 
 
 def test_levels_that_are_the_same_are_measured_once():
@@ -57,6 +58,8 @@ def test_refused_scales(scale):
         StereoMatcher.from_pretrained("msnet2d", scale=scale)
     with pytest.raises(InputError, match=r"padding to .* and a scale of 0\.5: choose one"):
         StereoMatcher.from_pretrained("msnet2d", scale=0.5, padding=(64, 96))
+    with pytest.raises(InputError, match=r"a scale of 0\.7: .* \(the quality fast has a scale\)"):
+        StereoMatcher.from_pretrained(quality="fast", padding=(64, 96))
 
 
 def test_the_default_is_balanced_and_a_source_has_no_quality():

@@ -408,7 +408,7 @@ def test_a_cascade_learns_both_of_its_passes():
     views = torch.randn(2, 1, 3, 32, 160)
     outputs = net.outputs(*views)
     assert outputs.volume.shape == (1, 40, 16, 8, 40)
-    assert [scores.shape for scores in outputs.scores] == 3 * [(1, 32, 8, 40)]
+    assert [scores.shape for scores in outputs.scores] == 4 * [(1, 32, 8, 40)]
     assert [scores.shape for scores in outputs.coarse.scores] == 2 * [(1, 32, 8, 40)]
     disparity = torch.zeros(1, 32, 160)
     start = outputs.band.start
@@ -421,7 +421,7 @@ def test_a_cascade_learns_both_of_its_passes():
     far = (4.0 * (start + 20)).repeat_interleave(4, 1).repeat_interleave(4, 2)
     net.training_loss(outputs, far, torch.ones_like(far, dtype=torch.bool)).backward()
     assert net.coarse.heads[1].score.weight.grad.any()
-    assert not net.heads[2].score.weight.grad.any()
+    assert not net.heads[3].score.weight.grad.any()
 
 
 def test_the_coarse_pass_of_a_cascade_starts_as_the_fine_one():

@@ -153,10 +153,13 @@ def _time_levels(size: tuple[int, int], threads: int | None, device: str, repeat
     runs = [partial(matcher.infer, left, right) for matcher in matchers]
     for run in runs:
         run()  # the first one also prepares
-    table = Table("--quality", "network", "precision", title=f"{size[0]}x{size[1]}, {device}")
+    columns = ("--quality", "network", "size", "precision")
+    table = Table(*columns, title=f"{size[0]}x{size[1]}, {device}")
     for column in ("ms", "pairs per second"):
         table.add_column(column, justify="right")
-    for matcher, seconds in zip(matchers, time_interleaved(*runs, repeats=repeats), strict=True):
-        times = (f"{seconds * 1000:.0f}", f"{1 / seconds:.2f}")
-        table.add_row(matcher.quality, matcher.model, matcher.engine.precision, *times)
+    times = time_interleaved(*runs, repeats=repeats)
+    for level, matcher, seconds in zip(QUALITIES.values(), matchers, times, strict=True):
+        settings = (matcher.model, f"{level.scale:g}", matcher.engine.precision)
+        figures = (f"{seconds * 1000:.0f}", f"{1 / seconds:.2f}")
+        table.add_row(matcher.quality, *settings, *figures)
     Console().print(table)

@@ -24,7 +24,8 @@ def cost(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Network: a name, or a class of your own, my_net.py:MyNet. Default: msnet3d.",
+            help="Network: a name, or a class of your own, my_net.py:MyNet. "
+            "Default: msnet3d-cascade.",
             callback=network_name,
         ),
     ] = None,

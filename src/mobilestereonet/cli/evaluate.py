@@ -24,8 +24,8 @@ def evaluate(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Model, as in predict. Repeat for more. Default: msnet3d, or what the weights "
-            "hold."
+            help="Model, as in predict. Repeat for more. Default: msnet3d-cascade, or what the "
+            "weights hold."
         ),
     ] = None,
     precision: Precision = "fp32",

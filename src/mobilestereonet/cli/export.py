@@ -16,6 +16,9 @@ from mobilestereonet.errors import InputError
 _SIZE = (256, 512)
 _PAGE = "web"
 
+_PAGE_MODEL = "msnet2d"
+"""Its 2D convolutions are what browsers run fastest."""
+
 
 def export(
     format_: Annotated[
@@ -138,16 +141,15 @@ def _export_page(
     height: int | None,
     width: int | None,
 ) -> None:
-    """Write the page, by default with the fastest network."""
+    """Write the page, by default with `_PAGE_MODEL`."""
     if folder is None or runtime is None:
         missing = "DIR, the folder to write" if folder is None else "--runtime-dir node_modules"
         raise InputError(f"web needs {missing}: msnet export web DIR --runtime-dir node_modules")
 
     from mobilestereonet.export.web import PAGE_SIZE, export_page
-    from mobilestereonet.inference.quality import QUALITIES
 
     if options.is_default:
-        options = replace(options, model=QUALITIES["fast"].model)
+        options = replace(options, model=_PAGE_MODEL)
     name, net = options.open_network()
     written = export_page(
         net,

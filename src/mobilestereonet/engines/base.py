@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from mobilestereonet.nets.confidence import ConfidenceFit
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
 
@@ -85,7 +85,7 @@ class Engine(Protocol):
         ...
 
 
-def confidence_fit(engine: Engine) -> ConfidenceFit | None:
-    """Calibration of an engine's confidence; None where it has none."""
-    fit: ConfidenceFit | None = getattr(engine, "confidence_fit", None)
+def confidence_fit(engine: Engine) -> Callable[[Tensor], Tensor] | None:
+    """Calibration of an engine's confidence, see `nets.confidence`; None where it has none."""
+    fit: Callable[[Tensor], Tensor] | None = getattr(engine, "confidence_fit", None)
     return fit

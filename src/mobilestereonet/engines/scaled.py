@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -11,7 +12,6 @@ from torch import Tensor
 from mobilestereonet.data.images import pad, unpad
 from mobilestereonet.engines.base import Engine, confidence_fit
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets.confidence import ConfidenceFit
 from mobilestereonet.nets.model import Prediction, Preprocessing
 
 MIN_SCALE = 0.25
@@ -31,7 +31,8 @@ def check_scale(scale: float) -> None:
 class ScaledEngine:
     """Another engine, run on resized views; its results are in the size and pixels of the views.
 
-    But for the confidence, whose errors are counted in pixels of the smaller views.
+    So is the probability of the fitted confidence, under the assumption that errors have a Laplace
+    distribution, which `inference.deviation` makes, too.
 
     Args:
         engine: The engine.
@@ -80,9 +81,10 @@ class ScaledEngine:
         return self.engine.has_confidence
 
     @property
-    def confidence_fit(self) -> ConfidenceFit | None:
-        """Calibration of the engine's confidence."""
-        return confidence_fit(self.engine)
+    def confidence_fit(self) -> Callable[[Tensor], Tensor] | None:
+        """Calibration of the engine's confidence, with errors in pixels of the views."""
+        fit = confidence_fit(self.engine)
+        return fit and (lambda own: 1 - (1 - fit(own)) ** self.scale)
 
     @property
     def min_side(self) -> int:

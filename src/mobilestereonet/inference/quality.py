@@ -27,12 +27,11 @@ class Quality:
 
 
 QUALITIES = {
-    "fast": Quality("msnet2d"),
-    "balanced": Quality("msnet3d"),
+    "fast": Quality("msnet3d-cascade", scale=0.7),
+    "balanced": Quality("msnet3d-cascade"),
     "best": Quality("msnet3d"),
 }
-"""Quality levels by name, from the least time to the least error; "balanced" is as good as "best"
-until `msnet3d-cascade` has trained weights."""
+"""Quality levels by name, from the least time to the least error."""
 
 DEFAULT_MODEL = QUALITIES[DEFAULT_QUALITY].model
 """The network of the default quality."""

@@ -62,7 +62,10 @@ class TensorMatcher:
         if isinstance(shift, bool) or not isinstance(shift, int):
             raise InputError(f"shift must be a whole number of pixels, got {shift!r}")
         if padding is not None and scale != 1:
-            raise InputError(f"padding to {padding} and a scale of {scale}: choose one of them")
+            raise InputError(
+                f"padding to {padding} and a scale of {scale}: choose one of them (the quality "
+                "fast has a scale)"
+            )
         for what, size in (("padding", padding), ("tile", tile)):
             if size not in ("auto", None) and not (isinstance(size, Sequence) and len(size) == 2):
                 raise InputError(f"{what} must be (height, width), got {size!r}")

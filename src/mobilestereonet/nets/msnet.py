@@ -75,10 +75,10 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
     @classmethod
     def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
-        """A guide is that of a coarse pass, see `StereoModel`."""
+        """A guide is that of a coarse pass, which a cascade always has; see `StereoModel`."""
         if config.dims == 3 and "guide.weight" in names:
             return {"coarse_pass": True}
-        return {"coarse_pass": False, "coarse_hourglasses": 0, "band": 0}
+        return {} if config.band else {"coarse_pass": False, "coarse_hourglasses": 0, "band": 0}
 
     @classmethod
     def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
