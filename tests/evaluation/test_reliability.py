@@ -104,7 +104,8 @@ def test_results_have_the_probability_and_the_same_disparity(net, views):
     small = StereoMatcher(net, confidence=True, scale=0.5)
     net.confidence_fit = None
     own = StereoMatcher(net, confidence=True, scale=0.5).infer(*views).confidence
-    torch.testing.assert_close(small.infer(*views).confidence, FIT(own))
+    right = 1 - (1 - FIT(own)) ** 0.5  # the errors are half as large in the small views
+    torch.testing.assert_close(small.infer(*views).confidence, right)
     pair = [(view[0].permute(1, 2, 0) * 255).byte().numpy() for view in views]
     result = small(*pair)
     assert result.confidence.shape == (48, 96)
