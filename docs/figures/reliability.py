@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 MEASURED = json.loads(Path(__file__).with_name("reliability.json").read_text("utf-8"))
 
-COLOURS = {"msnet2d": "#c4501b", "msnet3d": "#2b6cb0"}
+COLOURS = {"msnet2d": "#c4501b", "msnet3d-cascade": "#2f855a", "msnet3d": "#2b6cb0"}
 STYLES = {"own": ":", "fitted": "-"}
 MIN_SHARE = 0.002
 """Share of the pixels below which a bin's share is left out, for it is too uncertain."""
@@ -36,7 +36,7 @@ def draw_reliability(path: Path) -> None:
                     label=f"{model}, {name}: error {100 * curve['error']:.1f} %",
                 )
         axes.set(title=title, xlabel="confidence", xlim=(0, 1), ylim=(0, 1), aspect="equal")
-        axes.legend(loc="lower right", frameon=False, fontsize=8)
+        axes.legend(loc="lower right", frameon=False, fontsize=7)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("share of pixels within 3 px")
     save(figure, path)
