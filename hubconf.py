@@ -25,3 +25,8 @@ def msnet2d(pretrained: bool = True, **overrides: Any) -> StereoModel:
 def msnet3d(pretrained: bool = True, **overrides: Any) -> StereoModel:
     """3D-MobileStereoNet; see `msnet2d`."""
     return create_model("msnet3d", pretrained, **overrides)
+
+
+def msnet3d_cascade(pretrained: bool = True, **overrides: Any) -> StereoModel:
+    """3D-MobileStereoNet that searches in two steps, the default network; see `msnet2d`."""
+    return create_model("msnet3d-cascade", pretrained, **overrides)

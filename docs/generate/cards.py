@@ -175,7 +175,7 @@ def _stages(stages: list[dict[str, Any]]) -> list[str]:
 
 def _recipe(resolved: dict[str, Any]) -> list[str]:
     return [
-        f"All values of run {resolved['run']}; the other runs differ in those of the table:",
+        f"All values of run {resolved['run']}; other runs differ in those of the table:",
         "",
         '<details markdown="1"><summary>recipe.json</summary>',
         "",

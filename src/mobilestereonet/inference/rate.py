@@ -9,6 +9,9 @@ from mobilestereonet.inference.pair import StereoPair
 from mobilestereonet.inference.quality import QUALITIES
 from mobilestereonet.timing import time_interleaved
 
+MARGIN = 0.9
+"""Share of a frame's time that matching may take when it is measured: it varies."""
+
 SMALLER_SCALES = (0.5, 0.35)
 """Scales at which the fastest level is tried where no level is fast enough as it is."""
 
@@ -35,6 +38,6 @@ def choose_quality(
         matcher = open_level(name, scale)
         matcher.match(pair)  # the first run also prepares the engine
         seconds = time_interleaved(lambda m=matcher: m.match(pair), repeats=3)[0]  # type: ignore[misc]
-        if seconds <= 1 / hz:
+        if seconds <= MARGIN / hz:
             break
     return matcher, seconds
