@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import argparse
 import io
-import tempfile
 import warnings
 from collections import Counter
 from itertools import chain, cycle, product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -61,7 +61,14 @@ def main() -> None:
         sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
         for folder in args.folders
     ]
-    path = Path(tempfile.mkdtemp()) / "picture.jpg"
+    with TemporaryDirectory() as folder:
+        count(files, Path(folder) / "picture.jpg", args.holes, args.photos, args.qualities)
+
+
+def count(
+    files: list[list[Path]], path: Path, number: int, photos: int, qualities: list[int]
+) -> None:
+    """Read whole and damaged files as ``path``, and print how many were refused, told, or read."""
     whole: Counter[str] = Counter()
     for file in chain.from_iterable(files):
         if file.suffix.lower() in ENDINGS[:2]:
@@ -72,9 +79,9 @@ def main() -> None:
             whole[ask(path, written.tobytes())] += 1
     rng = np.random.default_rng(0)
     holes: Counter[str] = Counter()
-    chosen = files[0][:: max(1, len(files[0]) // args.photos)][: args.photos]
-    cases = cycle(product(chosen, args.qualities, ("4:4:4", "4:2:0"), ("cut", "zeros", "random")))
-    for _, (file, quality, subsampling, kind) in zip(range(args.holes), cases, strict=False):
+    chosen = files[0][:: max(1, len(files[0]) // photos)][:photos]
+    cases = cycle(product(chosen, qualities, ("4:4:4", "4:2:0"), ("cut", "zeros", "random")))
+    for _, (file, quality, subsampling, kind) in zip(range(number), cases, strict=False):
         content = encode(Image.open(file), quality, subsampling)
         size = int(rng.integers(*HOLE_BYTES))
         start = int(rng.integers(HEADER_BYTES, len(content) - size))

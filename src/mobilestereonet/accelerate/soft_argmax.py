@@ -297,8 +297,8 @@ def flat_ends(scores: Tensor) -> tuple[int, int]:
 
     So it is outside of the bands of a cascade. An end is shortened only if it has, at every pixel,
     the lowest score of all planes, and another plane a higher one: then no interval in it is in the
-    dominant mode. Where the other plane is the one at the opposite end, whose outer interval is
-    half of one, that needs more planes than three intervals of `MIN_MODE_PROBABILITY` can be of.
+    dominant mode. Scores of few planes are kept whole: three intervals of a flat end could hold
+    `MIN_MODE_PROBABILITY` there, and more than the neighbourhood of a plane at the opposite end.
 
     Args:
         scores: (B, D, H, W).
