@@ -1,11 +1,12 @@
 """What large near surfaces without texture cost: procedural scenes with them and without.
 
-    python benchmarks/textureless.py [--scenes 16] [--weights FILE ...] [--precision bf16]
+    python benchmarks/textureless.py [ROW ...] [--scenes 16] [--weights FILE ...] [--precision bf16]
 
-Rooms, tables and slanted planes, near; the same layouts twice. Beside EPE and D1 the share of
-pixels whose disparity is less than half of the truth: near surfaces taken for far ones. Then
-squares of one colour before a textured wall, scored inside: their borders alone tell their
-disparity, so the side from which on they fail tells how far a method sees.
+A row is one of `accuracy.py`; without rows, its own. Rooms, tables and slanted planes, near; the
+same layouts twice. Beside EPE and D1 the share of pixels whose disparity is less than half of the
+truth: near surfaces taken for far ones. Then squares of one colour before a textured wall, scored
+inside: their borders alone tell their disparity, so the side from which on they fail tells how far
+a method sees.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ def score(matcher, scenes: Iterable[StereoSample]) -> tuple[float, ...]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help="name or file[,setting=value ...]")
     parser.add_argument(
         "--scenes", type=int, default=16, help="scenes of each sort; half as many squares"
     )
@@ -97,7 +99,7 @@ def main() -> None:
         for side in SQUARES
     }
     table = Table("model", "surfaces", "EPE, px", "D1, %", "less than half, %")
-    for name, matcher in matchers(arguments.weights, arguments.precision).items():
+    for name, matcher in matchers(arguments.weights, arguments.precision, arguments.rows).items():
         for sort, scenes in sorts.items():
             table.add_row(name, sort, *(f"{figure:.2f}" for figure in score(matcher, scenes)))
     Console(width=100).print(table)

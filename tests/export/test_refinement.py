@@ -23,7 +23,7 @@ def test_refinement_in_a_graph(sure):
     confidence = torch.rand(1, 32, 64, dtype=torch.float64) * 0.3 + sure
     confidence[0, 3] = 0
     confidence[0, 4, :20] = confidence[0, 5, 50:] = 0
-    expected = refine_disparity(disparity, confidence, left)
+    expected = refine_disparity(disparity, confidence, left, right)
     assert (expected != disparity).float().mean() > 0.1
     expected = fit_subpixel(expected, left, right)
     found = Refinement().double()(Prediction(disparity, confidence), left, right)

@@ -58,7 +58,7 @@ def test_refused_scales(scale):
         StereoMatcher.from_pretrained("msnet2d", scale=scale)
     with pytest.raises(InputError, match=r"padding to .* and a scale of 0\.5: choose one"):
         StereoMatcher.from_pretrained("msnet2d", scale=0.5, padding=(64, 96))
-    with pytest.raises(InputError, match=r"a scale of 0\.7: .* \(the quality fast has a scale\)"):
+    with pytest.raises(InputError, match=r"a scale of 0\.75: .* \(the quality fast has a scale\)"):
         StereoMatcher.from_pretrained(quality="fast", padding=(64, 96))
 
 

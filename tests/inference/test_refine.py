@@ -11,24 +11,41 @@ BACK, FRONT = 10.0, 40.0
 
 def scene(edge=60, size=(40, 120)):
     """A dark surface in front, right of column ``edge``, of a bright one; sure everywhere."""
-    front = (torch.arange(size[1]) >= edge).expand(size)
-    truth = torch.where(front, FRONT, BACK)
-    view = torch.where(front, 0.2, 0.8).expand(3, *size)
-    return truth[None], torch.ones(1, *size), view[None]
+    column = torch.arange(size[1]).expand(size)
+    truth = torch.where(column >= edge, FRONT, BACK)
+    views = [
+        torch.where(column >= first, 0.2, 0.8).expand(1, 3, *size) for first in (edge, edge - FRONT)
+    ]
+    return truth[None], torch.ones(1, *size), views
+
+
+def textured(edge=60, size=(40, 120)):
+    """The same surfaces, with one texture on both of them."""
+    truth, sure, _ = scene(edge, size)
+    right = 0.45 + 0.1 * torch.rand(1, 3, *size)
+    match = torch.arange(size[1]) - truth.long()
+    return truth, sure, [right.gather(-1, match.clamp(min=0)[:, None].expand_as(right)), right]
 
 
 def test_what_is_right_stays_bit_for_bit():
-    truth, sure, view = scene()
+    truth, sure, views = scene()
     slanted = truth + torch.linspace(0, 3, truth.shape[-1])
-    assert torch.equal(refine_disparity(slanted, sure, view), slanted)
+    assert torch.equal(refine_disparity(slanted, sure, *views), slanted)
+
+
+def test_a_steep_surface_has_no_edges():
+    torch.manual_seed(0)
+    _, sure, views = textured()
+    steep = torch.arange(120.0).expand(1, 40, 120)  # 14 px from one of 3 x 3 neighbours to another
+    assert torch.equal(refine_disparity(steep, sure, *views), steep)
 
 
 def test_unsure_pixels_take_the_background():
-    truth, sure, view = scene()
+    truth, sure, views = scene()
     found, sure = truth.clone(), sure.clone()
     found[..., 45:60], sure[..., 45:60] = 33.0, 0.1  # what the right camera does not see
     found[..., :9], sure[..., :9] = 99.0, 0.2  # neither the left border: one neighbour
-    assert torch.equal(refine_disparity(found, sure, view), truth)
+    assert torch.equal(refine_disparity(found, sure, *views), truth)
 
 
 @pytest.mark.parametrize(
@@ -44,52 +61,67 @@ def test_unsure_pixels_take_the_background():
     ],
 )
 def test_a_gap_wider_than_what_occlusion_hides_stays(first, last, background):
-    found, sure, view = scene()
+    found, sure, views = scene()
     found[..., first:last], sure[..., first:last] = 42.0, 0.1
-    middle = refine_disparity(found, sure, view)[..., (first + last) // 2]
+    middle = refine_disparity(found, sure, *views)[..., (first + last) // 2]
     assert (middle == (42.0 if background is None else background)).all()
 
 
 def test_nothing_is_hidden_right_of_a_nearer_surface():
-    found, sure, view = (map_.flip(-1) for map_ in scene())
+    found, sure, views = scene()
+    found, sure, *views = (map_.flip(-1) for map_ in (found, sure, *views))
     found[..., 60:80], sure[..., 60:80] = 42.0, 0.1
-    assert (refine_disparity(found, sure, view)[..., 70] == 42.0).all()
+    assert (refine_disparity(found, sure, *views)[..., 70] == 42.0).all()
 
 
 def test_a_row_without_any_sure_pixel_is_left_alone():
-    truth, sure, view = scene()
-    assert torch.equal(refine_disparity(truth, 0.1 * sure, view), truth)
+    truth, sure, views = scene()
+    assert torch.equal(refine_disparity(truth, 0.1 * sure, *views), truth)
 
 
 def test_edges_follow_the_colours():
-    _, sure, view = scene(edge=60)
+    _, sure, (left, _) = scene(edge=60)
+    plain = torch.full_like(left, 0.5)  # a right view that tells nothing
     for found_at in (57, 62):
         found, _, _ = scene(edge=found_at)
-        refined = refine_disparity(found, sure, view)
-        assert torch.equal(refined, scene(edge=60)[0])
+        assert torch.equal(refine_disparity(found, sure, left, plain), scene(edge=60)[0])
         # Without a picture that tells where, the edge stays.
-        assert torch.equal(refine_disparity(found, sure, torch.full_like(view, 0.5)), found)
+        assert torch.equal(refine_disparity(found, sure, plain, plain), found)
+
+
+@pytest.mark.parametrize("found_at", [56, 64])
+def test_edges_lie_where_the_views_match(found_at):
+    torch.manual_seed(0)
+    truth, sure, (left, right) = textured(edge=60)
+    found, _, _ = scene(edge=found_at)
+    columns = slice(44, None)  # whose matches lie inside of the right view
+    wrong = (found != truth)[..., columns]
+    refined = refine_disparity(found, sure, left, right)
+    assert (refined != truth)[..., columns].sum() < 0.2 * wrong.sum()
+    # Where nothing matches, colours of one texture tell little.
+    other = refine_disparity(found, sure, left, right.flip(-2))
+    assert (other != truth)[..., columns].sum() > 0.6 * wrong.sum()
 
 
 def test_sure_neighbours_outvote_unsure_ones():
-    _, _, view = scene()
+    _, _, views = scene()
     found = torch.full((1, 40, 120), BACK)
-    found[..., ::4] = FRONT  # stripes, and a picture of one colour
-    view = torch.full_like(view, 0.5)
+    found[..., ::4] = FRONT  # stripes, and pictures of one colour
+    views = [torch.full_like(view, 0.5) for view in views]
     sure = torch.where(found == BACK, 1.0, 0.35)
-    assert (refine_disparity(found, sure, view)[..., 8:-8] == BACK).all()
-    back = refine_disparity(found, torch.where(found == BACK, 0.35, 1.0), view)[..., 8:-8]
+    assert (refine_disparity(found, sure, *views)[..., 8:-8] == BACK).all()
+    back = refine_disparity(found, torch.where(found == BACK, 0.35, 1.0), *views)[..., 8:-8]
     assert (back == FRONT).float().mean() > 0.2
 
 
 def test_batches_are_pairs_one_by_one(device):
     torch.manual_seed(0)
     found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1).to(device)
-    sure, views = torch.rand(2, 24, 80).to(device), torch.rand(2, 3, 24, 80).to(device)
-    both = refine_disparity(found, sure, views)
+    sure, views = torch.rand(2, 24, 80).to(device), torch.rand(2, 2, 3, 24, 80).to(device)
+    both = refine_disparity(found, sure, *views)
     for index in range(2):
         one = slice(index, index + 1)
-        assert torch.equal(both[one], refine_disparity(found[one], sure[one], views[one]))
+        assert torch.equal(both[one], refine_disparity(found[one], sure[one], *views[:, one]))
     assert not torch.equal(both, found)
 
 
@@ -97,7 +129,10 @@ def test_nothing_leaves_the_device(monkeypatch):
     # Tensors of the device "meta" hold no numbers, so the edges are given.
     edges = torch.zeros(5, 3, dtype=torch.int64, device="meta")
     monkeypatch.setattr(refine, "_edge_pixels", lambda *_: edges)
-    maps = (torch.rand(2, *size, device="meta") for size in ((24, 80), (24, 80), (3, 24, 80)))
+    maps = (
+        torch.rand(2, *size, device="meta")
+        for size in ((24, 80), (24, 80), (3, 24, 80), (3, 24, 80))
+    )
     refined = refine_disparity(*maps)
     assert refined.device.type == "meta"
     assert refined.shape == (2, 24, 80)

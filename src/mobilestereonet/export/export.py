@@ -209,7 +209,8 @@ def _compared(
                 return prediction
             disparity, confidence = prediction
             assert confidence is not None
-            disparity = fit_subpixel(refine_disparity(disparity, confidence, left), left, right)
+            disparity = refine_disparity(disparity, confidence, left, right)
+            disparity = fit_subpixel(disparity, left, right)
             return Prediction(disparity, confidence)
 
     if export.any_size:

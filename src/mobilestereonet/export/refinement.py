@@ -13,12 +13,15 @@ from torch import Tensor, nn
 from mobilestereonet.inference.refine import (
     COLOUR_SIGMA,
     EDGE_STEP_PX,
+    MATCHING_WEIGHT,
     MIN_CONFIDENCE,
     NEIGHBOUR_STEPS_PX,
     OCCLUSION_SLACK_PX,
+    OUTSIDE_COST,
     OWN_WEIGHT,
     SAME_SURFACE_PX,
     VOTE_LIMIT_PX,
+    matching_features,
 )
 from mobilestereonet.inference.subpixel import (
     CONTRAST_WINDOW_PX,
@@ -59,11 +62,15 @@ class Refinement(nn.Module):
         assert confidence is not None
         disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE)
         weight = confidence.clamp(min=MIN_CONFIDENCE)
+        brightness = [_normalise_contrast(view) for view in (left, right)]
+        features = [matching_features(each) for each in brightness]
         for step in NEIGHBOUR_STEPS_PX:
-            disparity = self._align_edges(disparity, weight, left, step)
-        return Prediction(_fit_subpixel(disparity, left, right), confidence)
+            disparity = self._align_edges(disparity, weight, left, features, step)
+        return Prediction(_fit_subpixel(disparity, *brightness), confidence)
 
-    def _align_edges(self, disparity: Tensor, weight: Tensor, view: Tensor, step: int) -> Tensor:
+    def _align_edges(
+        self, disparity: Tensor, weight: Tensor, view: Tensor, features: list[Tensor], step: int
+    ) -> Tensor:
         maps = torch.cat((view, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1)
         maps = F.pad(maps, (step,) * 4, mode="replicate")
         spans = (slice(-2 * step), slice(step, -step), slice(2 * step, None))
@@ -71,19 +78,43 @@ class Refinement(nn.Module):
         candidates = around[:, 3]  # (9, H, W)
         distance = (around[:, :3] - view).square().sum(dim=1)
         votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[:, 4] * self.vote_weights
+        votes = votes / (VOTE_LIMIT_PX * votes.sum(dim=0))
+        mismatch = _mismatches(candidates, *features)
         best = lowest_cost = disparity
         for index in range(9):
             candidate = candidates[index : index + 1]
             difference = (candidates - candidate).abs().clamp(max=VOTE_LIMIT_PX)
-            cost = (difference * votes).sum(dim=0, keepdim=True)
+            cost = (difference * votes).sum(dim=0) + MATCHING_WEIGHT * mismatch[index]
             if index:
                 best = torch.where(cost < lowest_cost, candidate, best)
                 lowest_cost = torch.minimum(cost, lowest_cost)
             else:
                 best, lowest_cost = candidate, cost
-        edge = candidates.amax(dim=0) - candidates.amin(dim=0) > EDGE_STEP_PX
         moves = (best - disparity).abs() > SAME_SURFACE_PX
-        return torch.where(edge & moves, best, disparity)
+        return torch.where(_near_edges(disparity, step) & moves, best, disparity)
+
+
+def _mismatches(candidates: Tensor, left: Tensor, right: Tensor) -> Tensor:
+    """Matching costs of disparities (9, H, W) by features (1, 3, H, W) of both views."""
+    columns = _columns(candidates[:1])
+    last = columns[..., -1:]
+    match = columns - candidates
+    inside = (match >= 0) & (match <= last)
+    nearest = torch.minimum(match.clamp(min=0), last).round().long()
+    parts = [
+        (right[:, each].expand(9, -1, -1).gather(-1, nearest) - left[:, each]).abs()
+        for each in range(3)
+    ]
+    mismatch = (parts[0] + parts[1] + parts[2]) / 3
+    return torch.where(inside, mismatch.clamp(max=1), OUTSIDE_COST)
+
+
+def _near_edges(disparity: Tensor, step: int) -> Tensor:
+    """Whether pixels lie within so many rows and columns of a step in disparity."""
+    maps = torch.cat((disparity, -disparity)).unsqueeze(0)
+    span = F.max_pool2d(maps, 3, 1, 1).sum(dim=1)
+    edges = (span > EDGE_STEP_PX).to(disparity.dtype)
+    return F.max_pool2d(edges, 2 * step + 1, 1, step) > 0
 
 
 def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
@@ -118,7 +149,6 @@ def _running_max(values: Tensor, lowest: float = -1.0) -> Tensor:
 
 
 def _fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
-    left, right = _normalise_contrast(left), _normalise_contrast(right)
     left_gradient = row_gradient(left)
     right_maps = torch.cat((right, row_gradient(right)), dim=1)
     columns = _columns(disparity)

@@ -93,7 +93,7 @@ def predict_disparity(
     disparity, *more = maps
     if refine:
         with use_threads(engine.threads):
-            disparity = refine_disparity(disparity, more[0], left)
+            disparity = refine_disparity(disparity, more[0], left, right)
             disparity = fit_subpixel(disparity, left, right)
     return Prediction(disparity, more[0] if confidence and more else None)
 

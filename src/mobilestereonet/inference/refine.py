@@ -1,11 +1,12 @@
-"""Image-guided disparity refinement: fills occlusions, and moves edges to those of the colours.
+"""Image-guided disparity refinement: fills occlusions, and moves edges to those of the views.
 
 The networks decide at every fourth pixel, so edges come out some pixels off, and what one camera
 alone sees is guesswork. Both can be corrected without learning anything: a pixel of low confidence
 takes the disparity of the farther confident neighbour in its row, as semi-global matching fills
-its gaps, and near edges each pixel takes the disparity that its neighbours of like colour agree on
-(a weighted median, as in Ma et al., "Constant Time Weighted Median Filtering for Stereo Matching
-and Beyond", ICCV 2013, over a few sparse neighbours).
+its gaps, and near edges each pixel takes that of its neighbours' disparities on which neighbours
+of like colour agree and with which the views match: a weighted median, as in Ma et al., "Constant
+Time Weighted Median Filtering for Stereo Matching and Beyond", ICCV 2013, over a few sparse
+neighbours, with a matching cost.
 
 Everything runs on the device of the disparity.
 """
@@ -16,52 +17,81 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from mobilestereonet.inference.subpixel import column_gradient, normalise_contrast, row_gradient
+
 MIN_CONFIDENCE = 0.35
 """Confidence (0..1) from which a pixel keeps its disparity, and is a neighbour for others."""
 
 OCCLUSION_SLACK_PX = 4
 """Pixels by which a gap of low confidence may be wider than what occlusion explains."""
 
-NEIGHBOUR_STEPS_PX = (7, 4, 2, 1)
+NEIGHBOUR_STEPS_PX = (7, 7, 4, 2, 1)
 """Distances of the 3 x 3 neighbours that vote, one pass after the other."""
 
 EDGE_STEP_PX = 3.0
-"""Difference in disparity within the 3 x 3 neighbours above which a pixel lies near an edge."""
+"""Difference in disparity among 3 x 3 adjacent pixels above which they lie at an edge.
+
+A pixel is near an edge, in a pass, that is no farther than the pass's neighbours.
+"""
 
 SAME_SURFACE_PX = 1.0
 """A pixel keeps its own disparity if the vote differs by no more: its own is the finer one."""
 
-COLOUR_SIGMA = 0.1
+COLOUR_SIGMA = 0.07
 """Standard deviation of the colour (RGB in 0..1) within one surface."""
 
 OWN_WEIGHT = 0.9
 """Weight of a pixel's own vote: with 1, a vote along a straight edge would end in a draw."""
 
-VOTE_LIMIT_PX = 8.0
+VOTE_LIMIT_PX = 4.0
 """Difference in disparity at which the cost of disagreeing with a neighbour is cut off."""
+
+MATCHING_WEIGHT = 0.4
+"""Weight of the matching cost against that of disagreeing with the neighbours, both in 0..1."""
+
+FEATURE_LIMIT = 2.0
+"""Features of the matching cost are cut off here: strong edges count no more than texture."""
+
+OUTSIDE_COST = 0.5
+"""Matching cost of a disparity whose match would lie outside of the right view."""
 
 _CHUNK_CPU, _CHUNK_GPU = 1 << 15, 1 << 20
 """Edge pixels per step: on a CPU as many as keep their neighbours in its cache."""
 
 
-def refine_disparity(disparity: Tensor, confidence: Tensor, views: Tensor) -> Tensor:
+def refine_disparity(disparity: Tensor, confidence: Tensor, left: Tensor, right: Tensor) -> Tensor:
     """Refine disparities where their confidence is low, and at their edges.
 
     Everywhere else they stay as they are.
 
     Args:
-        disparity: Disparity in px, (B, H, W) float32.
+        disparity: Disparity of the left views in px, (B, H, W) float32.
         confidence: Its confidence in 0..1, (B, H, W), on the same device.
-        views: The views that it belongs to, (B, 3, H, W), RGB in 0..1, on the same device.
+        left: Left views, (B, 3, H, W), RGB in 0..1, on the same device.
+        right: Right views, likewise.
 
     Returns:
         Disparity in px, (B, H, W), on that device.
     """
     disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE)
     weight = confidence.clamp(min=MIN_CONFIDENCE)
+    features = [matching_features(normalise_contrast(views)) for views in (left, right)]
     for step in NEIGHBOUR_STEPS_PX:
-        disparity = _align_edges(disparity, weight, views, step)
+        disparity = _align_edges(disparity, weight, left, features, step)
     return disparity
+
+
+def matching_features(brightness: Tensor) -> Tensor:
+    """What pixels of both views are compared by: brightness and twice its gradient.
+
+    Args:
+        brightness: Brightness of normalised contrast, (B, 1, H, W).
+
+    Returns:
+        (B, 3, H, W): brightness, gradient along the rows and along the columns.
+    """
+    gradients = 2 * row_gradient(brightness), 2 * column_gradient(brightness)
+    return torch.cat((brightness, *gradients), dim=1).clamp(-FEATURE_LIMIT, FEATURE_LIMIT)
 
 
 def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
@@ -84,11 +114,13 @@ def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
     return torch.where(occluded & ~(no_left & no_right), farther, disparity)
 
 
-def _align_edges(disparity: Tensor, weight: Tensor, views: Tensor, step: int) -> Tensor:
+def _align_edges(
+    disparity: Tensor, weight: Tensor, views: Tensor, features: list[Tensor], step: int
+) -> Tensor:
     """Give pixels near edges the disparity that costs least among their 3 x 3 neighbours'."""
     height, width = disparity.shape[-2:]
-    maps = torch.cat((views, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1)
-    pixels = maps.movedim(1, -1).reshape(-1, maps.shape[1])  # (B H W, 5): RGB, disparity, weight
+    pixels = _in_a_row(torch.cat((views, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1))
+    left, right = map(_in_a_row, features)
     refined = disparity.flatten().clone()
     chunk = _CHUNK_CPU if disparity.device.type == "cpu" else _CHUNK_GPU
     edges = _edge_pixels(disparity, step)
@@ -96,35 +128,63 @@ def _align_edges(disparity: Tensor, weight: Tensor, views: Tensor, step: int) ->
         rows = [image * height + (row + y).clamp(0, height - 1) for y in (-step, 0, step)]
         columns = [(column + x).clamp(0, width - 1) for x in (-step, 0, step)]
         places = [y * width + x for y in rows for x in columns]
-        around = torch.stack([pixels[place] for place in places])  # (9, pixels, 5)
-        colours, candidates = around[..., :3], around[..., 3].contiguous()
+        around = torch.stack([_at(pixels, place) for place in places])  # (9, 5, N)
+        colours, candidates = around[:, :3], around[:, 3].contiguous()
         own_colour, own = colours[4], candidates[4]
-        distance = (colours - own_colour).square().sum(-1)
-        votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[..., 4]
+        distance = (colours - own_colour).square().sum(1)
+        votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[:, 4]
         votes[4] *= OWN_WEIGHT
+        votes /= VOTE_LIMIT_PX * votes.sum(0)
+        own_features = _at(left, places[4])
         best, lowest_cost = own, torch.full_like(own, torch.inf)
         for candidate in candidates:
             difference = (candidates - candidate).abs_().clamp_(max=VOTE_LIMIT_PX)
             cost = difference.mul_(votes).sum(0)
+            match = column - candidate
+            inside = (match >= 0) & (match <= width - 1)
+            nearest = match.nan_to_num_().clamp_(0, width - 1).round_().long()
+            mismatch = _at(right, rows[1] * width + nearest).sub_(own_features).abs_().mean(0)
+            cost += MATCHING_WEIGHT * torch.where(inside, mismatch.clamp_(max=1), OUTSIDE_COST)
             best = torch.where(cost < lowest_cost, candidate, best)
             lowest_cost = torch.minimum(cost, lowest_cost)
         refined[places[4]] = torch.where((best - own).abs() > SAME_SURFACE_PX, best, own)
     return refined.view_as(disparity)
 
 
+def _in_a_row(maps: Tensor) -> Tensor:
+    """Maps (B, C, H, W) with all pixels in a row, (C, B H W)."""
+    return maps.transpose(0, 1).flatten(1)
+
+
+def _at(pixels: Tensor, places: Tensor) -> Tensor:
+    """Values (C, N) of some pixels among (C, B H W)."""
+    return pixels.gather(1, places.expand(len(pixels), -1))
+
+
 def _edge_pixels(disparity: Tensor, step: int) -> Tensor:
     """Image, row and column of each pixel near an edge, (N, 3)."""
-    return torch.nonzero(_range_of_neighbours(disparity, step) > EDGE_STEP_PX)
+    return torch.nonzero(_dilated(_range_of_neighbours(disparity) > EDGE_STEP_PX, step))
 
 
-def _range_of_neighbours(disparity: Tensor, step: int) -> Tensor:
+def _range_of_neighbours(disparity: Tensor) -> Tensor:
     """Largest minus smallest disparity of each pixel's 3 x 3 neighbours."""
-    largest = smallest = F.pad(disparity.unsqueeze(1), (step,) * 4, mode="replicate").squeeze(1)
+    largest = smallest = F.pad(disparity.unsqueeze(1), (1,) * 4, mode="replicate").squeeze(1)
     for dim in (-2, -1):
         length = disparity.shape[dim]
-        high, low = (
-            [m.narrow(dim, at, length) for at in (0, step, 2 * step)] for m in (largest, smallest)
-        )
+        high, low = ([m.narrow(dim, at, length) for at in range(3)] for m in (largest, smallest))
         largest = torch.maximum(torch.maximum(high[0], high[1]), high[2])
         smallest = torch.minimum(torch.minimum(low[0], low[1]), low[2])
     return largest - smallest
+
+
+def _dilated(mask: Tensor, reach: int) -> Tensor:
+    """Pixels (B, H, W) within so many rows and columns of those of a mask."""
+    mask, side = F.pad(mask, (reach,) * 4), 2 * reach + 1
+    for dim in (-2, -1):
+        covered = 1  # pixels in a row that each value stands for
+        while covered < side:
+            move = min(covered, side - covered)
+            length = mask.shape[dim] - move
+            mask = mask.narrow(dim, 0, length) | mask.narrow(dim, move, length)
+            covered += move
+    return mask

@@ -54,7 +54,7 @@ def fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
     Returns:
         Disparity in px, (B, H, W), on that device.
     """
-    left, right = _normalise_contrast(left), _normalise_contrast(right)
+    left, right = normalise_contrast(left), normalise_contrast(right)
     left_gradient = row_gradient(left)
     right_maps = torch.cat((right, row_gradient(right)), dim=1)
     shift = torch.zeros_like(disparity)
@@ -66,7 +66,7 @@ def fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
     return (disparity + shift).clamp_min(0)
 
 
-def _normalise_contrast(views: Tensor) -> Tensor:
+def normalise_contrast(views: Tensor) -> Tensor:
     """Brightness (B, 1, H, W) of RGB views, locally of mean 0 and standard deviation 1."""
     grey = views.mean(dim=1, keepdim=True)
     moments = torch.cat((grey, grey.square()), dim=1)
@@ -106,6 +106,11 @@ def row_gradient(image: Tensor) -> Tensor:
     """Central differences along the rows of (B, 1, H, W), per px."""
     padded = F.pad(image, (1, 1, 0, 0), mode="replicate")
     return (padded[..., 2:] - padded[..., :-2]) / 2
+
+
+def column_gradient(image: Tensor) -> Tensor:
+    """Central differences along the columns of (B, 1, H, W), per px."""
+    return row_gradient(image.mT).mT
 
 
 def _warp(maps: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
