@@ -30,7 +30,7 @@ from mobilestereonet.metrics import StereoMetrics
 
 STEPS: dict[str, dict[str, Any]] = {
     "occlusions filled": {"NEIGHBOUR_STEPS_PX": ()},
-    "edges, by colour": {"MATCHING_WEIGHT": 0.0},
+    "edges, by colour alone": {"MATCHING_WEIGHT": 0.0},
     "edges, by colour and match": {"MATCHING_WEIGHT": refine.MATCHING_WEIGHT},
 }
 """Constants of `inference.refine` that leave it at a step."""

@@ -14,6 +14,16 @@ from mobilestereonet.nets import build_model
 from mobilestereonet.nets.model import Prediction
 
 
+@pytest.mark.parametrize("size", [(4, 4), (4, 12), (12, 4)])
+def test_views_smaller_than_the_distance_of_neighbours(size):
+    torch.manual_seed(0)
+    left, right = torch.rand(2, 1, 3, *size, dtype=torch.float64)
+    disparity, confidence = 12 * torch.rand(1, *size).double(), torch.rand(1, *size).double()
+    expected = fit_subpixel(refine_disparity(disparity, confidence, left, right), left, right)
+    found = Refinement().double()(Prediction(disparity, confidence), left, right)
+    torch.testing.assert_close(found.disparity, expected, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("sure", [0.7, 0.0, 1.0])
 def test_refinement_in_a_graph(sure):
     torch.manual_seed(0)

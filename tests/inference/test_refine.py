@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from mobilestereonet.inference import refine
-from mobilestereonet.inference.refine import refine_disparity
+from mobilestereonet.inference.refine import matching_features, refine_disparity
 
 BACK, FRONT = 10.0, 40.0
 
@@ -103,6 +103,51 @@ def test_edges_lie_where_the_views_match(found_at):
     assert (other != truth)[..., columns].sum() > 0.6 * wrong.sum()
 
 
+@pytest.mark.parametrize("across", [False, True])
+def test_the_match_counts_whatever_the_exposure(across):
+    torch.manual_seed(0)
+    truth, sure, (left, right) = textured(edge=60)
+    found, _, _ = scene(edge=64)
+    if across:  # an edge along the rows
+        truth, found = (
+            torch.where(torch.arange(40)[:, None] < row, BACK, FRONT) for row in (20, 24)
+        )
+        truth, found = (map_.expand(1, 40, 120) for map_ in (truth, found))
+        match = torch.arange(120) - truth.long()
+        left = right.gather(-1, match.clamp(min=0)[:, None].expand_as(right))
+    inside = slice(44, None)
+    refined = refine_disparity(found, sure, left, 0.5 * right + 0.3)
+    wrong = (found != truth)[..., inside].sum()
+    assert (refined != truth)[..., inside].sum() < 0.3 * wrong
+
+
+def test_matching_features():
+    ramp = (0.3 * torch.arange(6.0)).expand(1, 1, 6, 6)
+    brightness, along_rows, along_columns = matching_features(ramp)[0]
+    assert torch.equal(brightness, ramp[0, 0])
+    torch.testing.assert_close(along_rows[:, 1:-1], torch.full((6, 4), 0.6))  # twice the slope
+    assert (along_columns == 0).all()
+    _, along_rows, along_columns = matching_features(ramp.mT)[0]
+    torch.testing.assert_close(along_columns[1:-1], torch.full((4, 6), 0.6))
+    assert (along_rows == 0).all()
+    assert matching_features(10 * ramp).abs().max() == 2
+
+
+def test_a_match_outside_of_the_right_view_is_neither_good_nor_bad():
+    torch.manual_seed(0)
+    sure, edge = torch.ones(1, 40, 120), slice(16, 20)  # FRONT has its match outside there
+    left, right = 0.45 + 0.1 * torch.rand(2, 1, 3, 40, 120)
+    found = torch.full((1, 40, 120), BACK)
+    found[..., 20:40] = FRONT
+    # Of a BACK that does not match some pixels go over to FRONT: all would if outside cost 0.
+    refined = refine_disparity(found, sure, left, right)
+    assert 0.1 < (refined[..., edge] == FRONT).float().mean() < 0.6
+    found[..., :20], found[..., 20:40] = FRONT, BACK
+    # To a BACK that matches some go over from FRONT: all would if outside cost 1.
+    refined = refine_disparity(found, sure, right.roll(int(BACK), -1), right)
+    assert 0.1 < (refined[..., edge] == BACK).float().mean() < 0.6
+
+
 def test_sure_neighbours_outvote_unsure_ones():
     _, _, views = scene()
     found = torch.full((1, 40, 120), BACK)
@@ -114,7 +159,9 @@ def test_sure_neighbours_outvote_unsure_ones():
     assert (back == FRONT).float().mean() > 0.2
 
 
-def test_batches_are_pairs_one_by_one(device):
+@pytest.mark.parametrize("chunk", [100, 1 << 15])
+def test_batches_are_pairs_one_by_one(device, chunk, monkeypatch):
+    monkeypatch.setattr(refine, "_CHUNK_CPU", chunk)
     torch.manual_seed(0)
     found = 60 * torch.rand(2, 1, 24, 40).repeat_interleave(2, -1).squeeze(1).to(device)
     sure, views = torch.rand(2, 24, 80).to(device), torch.rand(2, 2, 3, 24, 80).to(device)

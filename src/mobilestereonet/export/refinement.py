@@ -60,31 +60,38 @@ class Refinement(nn.Module):
         """
         disparity, confidence = prediction
         assert confidence is not None
-        disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE)
+        columns = _columns(left[:, 0])
+        disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE, columns)
         weight = confidence.clamp(min=MIN_CONFIDENCE)
         brightness = [_normalise_contrast(view) for view in (left, right)]
         features = [matching_features(each) for each in brightness]
         for step in NEIGHBOUR_STEPS_PX:
-            disparity = self._align_edges(disparity, weight, left, features, step)
-        return Prediction(_fit_subpixel(disparity, *brightness), confidence)
+            disparity = self._align_edges(disparity, weight, left, features, columns, step)
+        return Prediction(_fit_subpixel(disparity, *brightness, columns), confidence)
 
     def _align_edges(
-        self, disparity: Tensor, weight: Tensor, view: Tensor, features: list[Tensor], step: int
+        self,
+        disparity: Tensor,
+        weight: Tensor,
+        view: Tensor,
+        features: list[Tensor],
+        columns: Tensor,
+        step: int,
     ) -> Tensor:
         maps = torch.cat((view, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1)
         maps = F.pad(maps, (step,) * 4, mode="replicate")
         spans = (slice(-2 * step), slice(step, -step), slice(2 * step, None))
-        around = torch.cat([maps[:, :, rows, columns] for rows in spans for columns in spans])
+        around = torch.cat([maps[:, :, rows, across] for rows in spans for across in spans])
         candidates = around[:, 3]  # (9, H, W)
         distance = (around[:, :3] - view).square().sum(dim=1)
         votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[:, 4] * self.vote_weights
         votes = votes / (VOTE_LIMIT_PX * votes.sum(dim=0))
-        mismatch = _mismatches(candidates, *features)
         best = lowest_cost = disparity
         for index in range(9):
             candidate = candidates[index : index + 1]
             difference = (candidates - candidate).abs().clamp(max=VOTE_LIMIT_PX)
-            cost = (difference * votes).sum(dim=0) + MATCHING_WEIGHT * mismatch[index]
+            mismatch = _mismatch(candidate, *features, columns)
+            cost = (difference * votes).sum(dim=0, keepdim=True) + MATCHING_WEIGHT * mismatch
             if index:
                 best = torch.where(cost < lowest_cost, candidate, best)
                 lowest_cost = torch.minimum(cost, lowest_cost)
@@ -94,19 +101,14 @@ class Refinement(nn.Module):
         return torch.where(_near_edges(disparity, step) & moves, best, disparity)
 
 
-def _mismatches(candidates: Tensor, left: Tensor, right: Tensor) -> Tensor:
-    """Matching costs of disparities (9, H, W) by features (1, 3, H, W) of both views."""
-    columns = _columns(candidates[:1])
+def _mismatch(disparity: Tensor, left: Tensor, right: Tensor, columns: Tensor) -> Tensor:
+    """Matching cost of a disparity (1, H, W) by features (1, 3, H, W) of both views."""
     last = columns[..., -1:]
-    match = columns - candidates
+    match = columns - disparity
     inside = (match >= 0) & (match <= last)
-    nearest = torch.minimum(match.clamp(min=0), last).round().long()
-    parts = [
-        (right[:, each].expand(9, -1, -1).gather(-1, nearest) - left[:, each]).abs()
-        for each in range(3)
-    ]
-    mismatch = (parts[0] + parts[1] + parts[2]) / 3
-    return torch.where(inside, mismatch.clamp(max=1), OUTSIDE_COST)
+    nearest = torch.minimum(match.clamp(min=0), last).round().long().unsqueeze(1)
+    matched = right.gather(-1, torch.cat((nearest, nearest, nearest), dim=1))
+    return torch.where(inside, (matched - left).abs().mean(dim=1).clamp(max=1), OUTSIDE_COST)
 
 
 def _near_edges(disparity: Tensor, step: int) -> Tensor:
@@ -117,8 +119,7 @@ def _near_edges(disparity: Tensor, step: int) -> Tensor:
     return F.max_pool2d(edges, 2 * step + 1, 1, step) > 0
 
 
-def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
-    column = _columns(disparity)
+def _fill_occlusions(disparity: Tensor, confident: Tensor, column: Tensor) -> Tensor:
     width = column[..., -1:] + 1
     before = _running_max(torch.where(confident, column, -1.0))
     after = -_running_max(torch.where(confident, -column, -width).flip(-1), lowest=-1e9).flip(-1)
@@ -148,10 +149,9 @@ def _running_max(values: Tensor, lowest: float = -1.0) -> Tensor:
     return values
 
 
-def _fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor) -> Tensor:
+def _fit_subpixel(disparity: Tensor, left: Tensor, right: Tensor, columns: Tensor) -> Tensor:
     left_gradient = row_gradient(left)
     right_maps = torch.cat((right, row_gradient(right)), dim=1)
-    columns = _columns(disparity)
     shift = columns * 0
     for _ in range(STEPS):
         position = columns - disparity - shift

@@ -112,7 +112,7 @@ class StereoMatcher(TensorMatcher):
                 estimator is "mode", as it is with this package's weights, and not with the
                 authors'.
             scale: Factor in 0.25..1 of height and width in which a pair is matched: 0.75 takes
-                about half of the time; the result has the size of the views.
+                about two thirds of the time; the result has the size of the views.
             rig: Geometry of the cameras: a `Rig`, a `Calibration`, or what `Rig.read` takes. Pairs
                 of images are rectified if they are raw, and results have their calibration;
                 tensors given to `infer` are not touched.

@@ -3,10 +3,11 @@
 The networks decide at every fourth pixel, so edges come out some pixels off, and what one camera
 alone sees is guesswork. Both can be corrected without learning anything: a pixel of low confidence
 takes the disparity of the farther confident neighbour in its row, as semi-global matching fills
-its gaps, and near edges each pixel takes that of its neighbours' disparities on which neighbours
-of like colour agree and with which the views match: a weighted median, as in Ma et al., "Constant
-Time Weighted Median Filtering for Stereo Matching and Beyond", ICCV 2013, over a few sparse
-neighbours, with a matching cost.
+its gaps, and near edges each pixel chooses, among its own disparity and those of eight sparse
+neighbours, the one of lowest cost: how far these nine disagree with it, weighted by confidence and
+likeness in colour (a weighted median, as in Ma et al., "Constant Time Weighted Median Filtering for
+Stereo Matching and Beyond", ICCV 2013, with differences cut off), and how badly the views match at
+it.
 
 Everything runs on the device of the disparity.
 """
@@ -26,22 +27,22 @@ OCCLUSION_SLACK_PX = 4
 """Pixels by which a gap of low confidence may be wider than what occlusion explains."""
 
 NEIGHBOUR_STEPS_PX = (7, 7, 4, 2, 1)
-"""Distances of the 3 x 3 neighbours that vote, one pass after the other."""
+"""Distances of a pixel's eight neighbours in rows and columns, one pass after the other."""
 
 EDGE_STEP_PX = 3.0
 """Difference in disparity among 3 x 3 adjacent pixels above which they lie at an edge.
 
-A pixel is near an edge, in a pass, that is no farther than the pass's neighbours.
+A pass whose neighbours are n px away looks at the pixels within n rows and columns of an edge.
 """
 
 SAME_SURFACE_PX = 1.0
-"""A pixel keeps its own disparity if the vote differs by no more: its own is the finer one."""
+"""A pixel keeps its own disparity if the cheapest one differs by no more: its own is finer."""
 
 COLOUR_SIGMA = 0.07
 """Standard deviation of the colour (RGB in 0..1) within one surface."""
 
 OWN_WEIGHT = 0.9
-"""Weight of a pixel's own vote: with 1, a vote along a straight edge would end in a draw."""
+"""Weight of a pixel's own disparity: with 1, a straight edge of one colour would be a draw."""
 
 VOTE_LIMIT_PX = 4.0
 """Difference in disparity at which the cost of disagreeing with a neighbour is cut off."""
@@ -53,7 +54,7 @@ FEATURE_LIMIT = 2.0
 """Features of the matching cost are cut off here: strong edges count no more than texture."""
 
 OUTSIDE_COST = 0.5
-"""Matching cost of a disparity whose match would lie outside of the right view."""
+"""Matching cost (0: alike) of a disparity whose match would lie outside of the right view."""
 
 _CHUNK_CPU, _CHUNK_GPU = 1 << 15, 1 << 20
 """Edge pixels per step: on a CPU as many as keep their neighbours in its cache."""
@@ -115,12 +116,12 @@ def _fill_occlusions(disparity: Tensor, confident: Tensor) -> Tensor:
 
 
 def _align_edges(
-    disparity: Tensor, weight: Tensor, views: Tensor, features: list[Tensor], step: int
+    disparity: Tensor, weight: Tensor, view: Tensor, features: list[Tensor], step: int
 ) -> Tensor:
     """Give pixels near edges the disparity that costs least among their 3 x 3 neighbours'."""
     height, width = disparity.shape[-2:]
-    pixels = _in_a_row(torch.cat((views, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1))
-    left, right = map(_in_a_row, features)
+    pixels = _in_a_row(torch.cat((view, disparity.unsqueeze(1), weight.unsqueeze(1)), dim=1))
+    left_features, right_features = map(_in_a_row, features)
     refined = disparity.flatten().clone()
     chunk = _CHUNK_CPU if disparity.device.type == "cpu" else _CHUNK_GPU
     edges = _edge_pixels(disparity, step)
@@ -135,7 +136,7 @@ def _align_edges(
         votes = torch.exp(distance / (-2 * COLOUR_SIGMA**2)) * around[:, 4]
         votes[4] *= OWN_WEIGHT
         votes /= VOTE_LIMIT_PX * votes.sum(0)
-        own_features = _at(left, places[4])
+        own_features = _at(left_features, places[4])
         best, lowest_cost = own, torch.full_like(own, torch.inf)
         for candidate in candidates:
             difference = (candidates - candidate).abs_().clamp_(max=VOTE_LIMIT_PX)
@@ -143,7 +144,8 @@ def _align_edges(
             match = column - candidate
             inside = (match >= 0) & (match <= width - 1)
             nearest = match.nan_to_num_().clamp_(0, width - 1).round_().long()
-            mismatch = _at(right, rows[1] * width + nearest).sub_(own_features).abs_().mean(0)
+            matched = _at(right_features, rows[1] * width + nearest)
+            mismatch = matched.sub_(own_features).abs_().mean(0)
             cost += MATCHING_WEIGHT * torch.where(inside, mismatch.clamp_(max=1), OUTSIDE_COST)
             best = torch.where(cost < lowest_cost, candidate, best)
             lowest_cost = torch.minimum(cost, lowest_cost)
