@@ -32,7 +32,7 @@ def draw_speed(path: Path) -> None:
         ticks.append((2.5 * index + 0.5, f"{level['quality']}\n({level['model']})"))
     axes.set_yticks(*zip(*ticks, strict=True))
     axes.invert_yaxis()
-    axes.set(xlim=(0, 1.2), xlabel=f"frames per second at {_size()}, {MEASURED['machine']}")
+    axes.set(xlim=(0, 1.35), xlabel=f"frames per second at {_size()}, {MEASURED['machine']}")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="lower right", frameon=False)
     save(figure, path)
