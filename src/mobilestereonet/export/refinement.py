@@ -63,8 +63,8 @@ class Refinement(nn.Module):
         columns = _columns(left[:, 0])
         disparity = _fill_occlusions(disparity, confidence >= MIN_CONFIDENCE, columns)
         weight = confidence.clamp(min=MIN_CONFIDENCE)
-        brightness = [_normalise_contrast(view) for view in (left, right)]
-        features = [matching_features(each) for each in brightness]
+        brightness = _normalise_contrast(left), _normalise_contrast(right)
+        features = matching_features(brightness[0]), matching_features(brightness[1])
         for step in NEIGHBOUR_STEPS_PX:
             disparity = self._align_edges(disparity, weight, left, features, columns, step)
         return Prediction(_fit_subpixel(disparity, *brightness, columns), confidence)
@@ -74,7 +74,7 @@ class Refinement(nn.Module):
         disparity: Tensor,
         weight: Tensor,
         view: Tensor,
-        features: list[Tensor],
+        features: tuple[Tensor, Tensor],
         columns: Tensor,
         step: int,
     ) -> Tensor:
