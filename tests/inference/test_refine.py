@@ -23,8 +23,13 @@ def textured(edge=60, size=(40, 120)):
     """The same surfaces, with one texture on both of them."""
     truth, sure, _ = scene(edge, size)
     right = 0.45 + 0.1 * torch.rand(1, 3, *size)
-    match = torch.arange(size[1]) - truth.long()
-    return truth, sure, [right.gather(-1, match.clamp(min=0)[:, None].expand_as(right)), right]
+    return truth, sure, [left_of(right, truth), right]
+
+
+def left_of(right, disparity):
+    """The left view whose pixels match those of the right view at a disparity."""
+    match = torch.arange(right.shape[-1]) - disparity.long()
+    return right.gather(-1, match.clamp(min=0)[:, None].expand_as(right))
 
 
 def test_what_is_right_stays_bit_for_bit():
@@ -113,8 +118,7 @@ def test_the_match_counts_whatever_the_exposure(across):
             torch.where(torch.arange(40)[:, None] < row, BACK, FRONT) for row in (20, 24)
         )
         truth, found = (map_.expand(1, 40, 120) for map_ in (truth, found))
-        match = torch.arange(120) - truth.long()
-        left = right.gather(-1, match.clamp(min=0)[:, None].expand_as(right))
+        left = left_of(right, truth)
     inside = slice(44, None)
     refined = refine_disparity(found, sure, left, 0.5 * right + 0.3)
     wrong = (found != truth)[..., inside].sum()

@@ -83,7 +83,7 @@ def refine_disparity(disparity: Tensor, confidence: Tensor, left: Tensor, right:
 
 
 def matching_features(brightness: Tensor) -> Tensor:
-    """What pixels of both views are compared by: brightness and twice its gradient.
+    """Features of the matching cost: brightness and twice its gradient.
 
     Args:
         brightness: Brightness of normalised contrast, (B, 1, H, W).
