@@ -11,7 +11,7 @@ from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.inference import (
     columns_first,
     drop_training_heads,
-    images_one_by_one,
+    few_images_at_a_time,
     volume_by_planes,
 )
 from mobilestereonet.accelerate.norms import fold_norms
@@ -22,7 +22,7 @@ from mobilestereonet.accelerate.soft_argmax import (
     use_closed_form,
 )
 from mobilestereonet.errors import InputError
-from mobilestereonet.nets import build_model, list_models
+from mobilestereonet.nets import build_model, list_models, msnet
 from mobilestereonet.nets.blocks import V2Block
 from mobilestereonet.nets.coarse_pass import guidance_from_scores, spread_band
 from mobilestereonet.nets.soft_argmax import SoftArgmax
@@ -32,7 +32,7 @@ from parity import OUTPUTS, authors_state, largest_error
 STEPS = (
     fold_norms,
     use_closed_form,
-    images_one_by_one,
+    few_images_at_a_time,
     drop_training_heads,
     volume_by_planes,
     columns_first,
@@ -68,12 +68,13 @@ def slices_of(monkeypatch, size):
     monkeypatch.setattr(rows, "MIN_ROWS", 1)
 
 
+COARSE = ("msnet3d", {"max_disparity": 64, "coarse_pass": True, "coarse_levels": 2})
 CASCADE = ("msnet3d-cascade", {"max_disparity": 64, "band": 8})
 
 
 @pytest.mark.parametrize(
     ("name", "fields"),
-    [*((name, {}) for name in NAMES), ("msnet3d", {"coarse_pass": True}), CASCADE],
+    [*((name, {}) for name in NAMES), COARSE, CASCADE],
 )
 def test_every_step_keeps_the_result(name, fields, monkeypatch):
     slices_of(monkeypatch, 10000)
@@ -199,8 +200,7 @@ def test_a_flat_end_beside_a_likelier_plane_at_the_other_one(planes, score):
 @pytest.mark.parametrize("conv3d_as_2d", [False, True])
 @pytest.mark.parametrize(
     ("name", "fields"),
-    [(name, {}) for name in NAMES]
-    + [("msnet3d", {"coarse_pass": True}), ("msnet2d", {"estimator": "mode"}), CASCADE],
+    [(name, {}) for name in NAMES] + [COARSE, ("msnet2d", {"estimator": "mode"}), CASCADE],
 )
 def test_form_for_export(name, fields, conv3d_as_2d):
     net, left, right = network(name, **fields)
@@ -269,7 +269,8 @@ def operators(net):
 
 
 @pytest.mark.parametrize(("name", "calls"), [("msnet2d", 690), ("msnet3d", 700)])
-def test_number_of_operators(name, calls):
+def test_number_of_operators(name, calls, monkeypatch):
+    monkeypatch.setattr(msnet, "SMALL_VIEW_PIXELS", 1)
     onednn.has_onednn_operators(torch.float32)  # at its first call it runs some itself
     net = build_model(name, max_disparity=32).eval()
     plain, fast = operators(net), operators(accelerate(net, "inference"))
@@ -284,6 +285,7 @@ def test_number_of_operators(name, calls):
 @pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
 def test_no_tensor_is_larger_than_a_views_features(name, monkeypatch):
     slices_of(monkeypatch, 1)
+    monkeypatch.setattr(msnet, "SMALL_VIEW_PIXELS", 1)
     net = build_model(name, max_disparity=32).eval()
     features = 320 * 16 * 32
     assert operators(accelerate(net, "inference")).largest == features < operators(net).largest

@@ -174,7 +174,7 @@ def test_closed_form_at_its_limits():
     ("name", "fields"),
     [
         ("msnet2d", {}),
-        ("msnet3d", {"coarse_pass": True}),
+        ("msnet3d", {"coarse_pass": True, "coarse_levels": 2, "max_disparity": 64}),
         ("msnet3d-cascade", {"max_disparity": 64, "band": 8}),
         ("baseline3d", {}),
         ("table2-concatenation", {}),

@@ -156,7 +156,8 @@ def test_a_coarse_pass_is_a_pass_at_half_of_the_size():
 def test_a_cascade_is_a_coarse_pass_and_a_band_of_planes():
     settings = {"hourglasses": 1, "coarse_hourglasses": 1, "band": 16}
     cascade = count_costs("msnet3d-cascade", 64, 128, settings)["total"]
-    whole = count_costs("msnet3d", 64, 128, {"hourglasses": 1, "coarse_pass": True})["total"]
+    passes = {"hourglasses": 1, "coarse_pass": True, "coarse_levels": 2}
+    whole = count_costs("msnet3d", 64, 128, passes)["total"]
     planes = {"hourglasses": 1, "max_disparity": 128}
     all_planes = count_costs("msnet3d", 64, 128, planes)["total"]
     half_of_them = count_costs("msnet3d", 64, 128, {**planes, "max_disparity": 64})["total"]
@@ -164,7 +165,8 @@ def test_a_cascade_is_a_coarse_pass_and_a_band_of_planes():
     assert whole.macs - cascade.macs == pytest.approx(2 * per_16_planes, rel=0.03)
     parts = ("pre_hourglass", "hourglasses", "heads")
     twice = count_costs("msnet3d", 64, 128, {"hourglasses": 1})
-    assert cascade.params == whole.params + sum(twice[part].params for part in parts)
+    guide = 27 * 32
+    assert cascade.params == whole.params + guide + sum(twice[part].params for part in parts)
 
 
 def test_a_network_stays_as_it_is():

@@ -88,8 +88,8 @@ def test_the_file_gives_what_torch_gives_and_describes_itself(name, net, tmp_pat
     assert metadata["size"] == ("any" if format_.dynamic else "32 x 64 (height x width)")
 
 
-COARSE = {"coarse_pass": True}
-CASCADE = {"coarse_pass": True, "coarse_hourglasses": 1, "max_disparity": 64, "band": 8}
+COARSE = {"coarse_pass": True, "coarse_levels": 2, "max_disparity": 64}
+CASCADE = {**COARSE, "coarse_hourglasses": 1, "band": 8}
 
 
 EVERY = pytest.mark.exhaustive

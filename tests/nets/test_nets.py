@@ -274,6 +274,7 @@ CASCADE = {
         ({"max_disparity": 528}, "got 528"),
         ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
         ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
+        ({"coarse_levels": 0}, "coarse_levels must be at least 1, got 0"),
         ({"dims": 3, "band": 16}, "band must be 0.* got 16 with interlaced-4 and 0"),
         ({**CASCADE, "band": 12}, "got 12 with correlation and 1"),
         ({**CASCADE, "coarse_hourglasses": 0}, "got 16 with correlation and 0"),
@@ -331,6 +332,47 @@ def test_coarse_pass():
     assert not net.coarse_scores(*views)
     with pytest.raises(InputError, match="multiples of 32, got 48 x 128"):
         net(*views[..., :48, :])
+
+
+def test_each_coarse_pass_guides_the_next_finer_one():
+    torch.manual_seed(0)
+    fields = {"hourglasses": 1, "coarse_pass": True}
+    net = build_model("msnet3d", max_disparity=128, coarse_levels=2, **fields).eval()
+    torch.nn.init.normal_(net.guide.weight)
+    half = build_model("msnet3d", max_disparity=64, **fields).eval()
+    half.load_state_dict(net.state_dict())
+    # Half of the size is 80 x 144, to be filled up to 96 x 160.
+    views = torch.randn(2, 1, 3, 160, 288)
+    with torch.no_grad():
+        filled = [F.pad(F.avg_pool2d(view, 2), (0, 16, 0, 16), mode="replicate") for view in views]
+        quarter = guidance_from_scores(half.coarse_scores(*filled)[-1])[..., :20, :36]
+        halves = [F.avg_pool2d(view, 2) for view in views]
+        volume = half.cost_volume(*halves, 16)
+        expected = half.aggregate(volume, quarter)[-1]
+        torch.testing.assert_close(net.coarse_scores(*views)[-1], expected, rtol=0, atol=1e-4)
+        one = build_model("msnet3d", max_disparity=128, **fields).eval()
+        one.load_state_dict(net.state_dict())
+        assert (one.coarse_scores(*views)[-1] - expected).abs().max() > 0.1
+
+
+@pytest.mark.parametrize(("disparities", "levels"), [(32, 1), (96, 1), (192, 2), (256, 3)])
+def test_planes_limit_the_coarse_passes(disparities, levels):
+    config = NetConfig(dims=3, coarse_pass=True, coarse_levels=3, max_disparity=disparities)
+    assert config.levels == levels
+    assert NetConfig(dims=3, coarse_levels=3).levels == 0
+
+
+def test_a_coarse_pass_with_weights_of_its_own_learns_with_coarser_ones_and_without():
+    net = build_model("msnet3d-cascade", max_disparity=64)
+    views = torch.randn(2, 1, 3, 64, 128)
+    for step in (1, 4):
+        net.set_step(step)
+        net.zero_grad()
+        scores = net.coarse_scores(*views)
+        assert len(scores) == 2 and net.training
+        scores[-1].square().sum().backward()
+        assert net.coarse.heads[1].score.weight.grad.any()
+        assert net.coarse.guide.weight.grad.any() == (step == 1)
 
 
 def test_bands_lie_around_the_likeliest_disparities():

@@ -8,14 +8,18 @@ axis, so it takes one pair.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, cast
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mobilestereonet.accelerate.export_volumes import (
     BlockwiseCorrelation,
     BlockwiseLearnedVolume,
     banded,
+    cut_to,
+    fill_without_sizes,
     guidance_in_four_dimensions,
 )
 from mobilestereonet.accelerate.inference import guide_convolution
@@ -31,6 +35,7 @@ from mobilestereonet.nets.coarse_pass import (
     spread_band,
 )
 from mobilestereonet.nets.cost_volumes import LearnedVolume
+from mobilestereonet.nets.hourglass import Aggregation
 from mobilestereonet.nets.model import Prediction, StereoModel
 from mobilestereonet.nets.msnet import MobileStereoNet
 from mobilestereonet.nets.volume_model import VolumeModel
@@ -144,6 +149,22 @@ def exportable_form(
     return ExportableNet(net, rgb=rgb, scores=scores)
 
 
+class GuidedAggregation(nn.Module):
+    """Pre-hourglass, guide, hourglasses and last head of a pass."""
+
+    def __init__(self, part: Aggregation) -> None:
+        super().__init__()
+        self.pre_hourglass = part.pre_hourglass
+        self.rest = nn.Sequential(*part.hourglasses, part.heads[-1])
+        guide: Any = getattr(part, "guide", None)
+        self.guide = nn.Sequential() if guide is None else nn.Sequential(guide_convolution(guide))
+
+    def forward(self, volume: Tensor, guidance: Tensor | None) -> Tensor:
+        """Scores of a cost volume, both laid out as `ExportableMobileStereoNet` needs them."""
+        x = self.pre_hourglass(volume)
+        return cast(Tensor, self.rest(x if guidance is None else x + self.guide(guidance)))
+
+
 class ExportableMobileStereoNet(ExportableNet):
     """`ExportableNet` of a MobileStereoNet, traced at one size for any."""
 
@@ -169,14 +190,7 @@ class ExportableMobileStereoNet(ExportableNet):
             if isinstance(net.volume, LearnedVolume)
             else BlockwiseCorrelation(net.volume, net.config.volume_input, next(net.parameters()))
         )
-        self.pre_hourglass = net.pre_hourglass
-        self.aggregation = nn.Sequential(*net.hourglasses, net.heads[-1])
-        if net.config.coarse_pass:
-            coarse = net.coarse_part
-            self.coarse_aggregation = nn.Sequential(
-                coarse.pre_hourglass, *coarse.hourglasses, coarse.heads[-1]
-            )
-            self.guide = nn.Sequential(guide_convolution(net.guide))
+        self.fine, self.coarse = GuidedAggregation(net), GuidedAggregation(net.coarse_part)
         if self.conv3d_as_2d:
             slice_layers(self)
 
@@ -187,18 +201,28 @@ class ExportableMobileStereoNet(ExportableNet):
     def _scores(self, left: Tensor, right: Tensor) -> Tensor:
         views = torch.cat((left, right))
         planes, band = self.config.planes, self.config.band_planes
-        if not self.config.coarse_pass:
-            return self._pass(views, planes)
-        coarse = self._pass(halve(views), planes // 2)
+        if not self.config.levels:
+            return self._pass(self.fine, views, planes)
+        coarse = self._coarse_scores(views, planes // 2, self.config.levels)
         guidance = guidance_in_four_dimensions(coarse)
         if not band:
-            return self._pass(views, planes, guidance)
+            return self._pass(self.fine, views, planes, guidance)
         start = band_start(coarse, band)
-        scores = self._pass(views, band, cut_band(guidance, start, band), start)
+        scores = self._pass(self.fine, views, band, cut_band(guidance, start, band), start)
         return spread_band(scores, start, planes)
+
+    def _coarse_scores(self, views: Tensor, planes: int, levels: int) -> Tensor:
+        """As `MobileStereoNet.coarse_scores`, of both views."""
+        views, guidance = halve(views), None
+        if levels > 1:
+            coarser = self._coarse_scores(fill_without_sizes(views), planes // 2, levels - 1)
+            guidance = guidance_in_four_dimensions(coarser)
+            guidance = cut_to(guidance, F.avg_pool2d(views, 4))
+        return self._pass(self.coarse, views, planes, guidance)
 
     def _pass(
         self,
+        part: GuidedAggregation,
         views: Tensor,
         planes: int,
         guidance: Tensor | None = None,
@@ -219,9 +243,5 @@ class ExportableMobileStereoNet(ExportableNet):
                 guidance = None if guidance is None else guidance.unsqueeze(1)
             elif len(volume) > 1:
                 volume = torch.cat(volume.split(1), dim=1)
-        if guidance is None and self.config.coarse_pass:
-            scores: Tensor = self.coarse_aggregation(volume)
-        else:
-            x = self.pre_hourglass(volume)
-            scores = self.aggregation(x if guidance is None else x + self.guide(guidance))
+        scores: Tensor = part(volume, guidance)
         return scores.unsqueeze(0) if scores.ndim == 3 else scores

@@ -28,6 +28,33 @@ def guidance_in_four_dimensions(scores: Tensor) -> Tensor:
     return planes.index_select(1, order).to(scores.dtype)
 
 
+def fill_without_sizes(views: Tensor) -> Tensor:
+    """As `nets.coarse_pass.fill`, with the new size computed from the values of the views."""
+    for axis in (2, 3):
+        place = places(views, axis)
+        # A place for each block of 32, the last of which may be half empty, then 32 of them.
+        blocks = F.max_pool1d(F.pad(place, (0, 16))[None, None], 32)
+        filled = places(F.interpolate(blocks, scale_factor=32.0), 2)
+        views = views.index_select(axis, torch.minimum(filled, place[-1]).long())
+    return views
+
+
+def cut_to(maps: Tensor, like: Tensor) -> Tensor:
+    """The first rows and columns of maps (1, D, H, W), as many as another map has."""
+    for axis in (2, 3):
+        maps = maps.index_select(axis, places(like, axis).long())
+    return maps
+
+
+def places(like: Tensor, axis: int) -> Tensor:
+    """0, 1, 2, ... along an axis of a tensor, float32.
+
+    Computed from its values: ones of its shape would be a constant of the graph.
+    """
+    first = [slice(None) if each == axis else 0 for each in range(like.ndim)]
+    return (like[tuple(first)].float() * 0 + 1).cumsum(dim=0) - 1
+
+
 class BlockwiseLearnedVolume(PlanewiseLearnedVolume):
     """`LearnedVolume` without batch norms, in 2D convolutions, a few planes at a time.
 

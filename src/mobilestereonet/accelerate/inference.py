@@ -32,9 +32,10 @@ from mobilestereonet.accelerate.planewise import (
 from mobilestereonet.accelerate.rows import process_by_rows
 from mobilestereonet.accelerate.semi_global import match_in_blocks
 from mobilestereonet.accelerate.soft_argmax import use_closed_form
+from mobilestereonet.nets.coarse_pass import Guide
 from mobilestereonet.nets.cost_volumes import Correlation, LearnedVolume
 from mobilestereonet.nets.model import StereoModel
-from mobilestereonet.nets.msnet import MobileStereoNet
+from mobilestereonet.nets.msnet import SMALL_VIEW_PIXELS, MobileStereoNet
 
 
 def inference_form(net: StereoModel) -> StereoModel:
@@ -55,7 +56,7 @@ def inference_form(net: StereoModel) -> StereoModel:
     match_in_blocks(net)
     if on_cpu:
         if type(net) is MobileStereoNet:
-            images_one_by_one(net)
+            few_images_at_a_time(net)
             drop_training_heads(net)
             volume_by_planes(net)
             columns_first(net)
@@ -68,18 +69,19 @@ def inference_form(net: StereoModel) -> StereoModel:
     return net.eval().requires_grad_(False)
 
 
-class PerImageSequential(nn.Sequential):
-    """A chain of layers that takes the images of a batch one after the other."""
+class FewImagesSequential(nn.Sequential):
+    """A chain of layers that takes some small images of a batch at a time, large ones singly."""
 
     def forward(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, C, H / 4, W / 4)."""
         forward = super().forward
-        return torch.cat([cast(Tensor, forward(image)) for image in images.split(1)])  # type: ignore[no-untyped-call]
+        together = max(1, 2 * SMALL_VIEW_PIXELS // images.shape[-2:].numel())
+        return torch.cat([cast(Tensor, forward(few)) for few in images.split(together)])  # type: ignore[no-untyped-call]
 
 
-def images_one_by_one(net: MobileStereoNet) -> None:
-    """Extract features from one image of a batch at a time: less memory, in the same time."""
-    net.add_module("features", PerImageSequential(net.features, net.reduction))
+def few_images_at_a_time(net: MobileStereoNet) -> None:
+    """Extract features from large images of a batch singly: less memory, in the same time."""
+    net.add_module("features", FewImagesSequential(net.features, net.reduction))
     net.reduction = nn.Identity()
 
 
@@ -119,8 +121,7 @@ def columns_first(net: MobileStereoNet) -> None:
     for part in {net, net.coarse_part}:
         part.pre_hourglass = nn.Sequential(MoveAxis(-1, 2), part.pre_hourglass)
         part.heads[-1] = nn.Sequential(part.heads[-1], MoveAxis(1, -1))
-    if net.config.coarse_pass:
-        net.add_module("guide", ColumnGuide(net.guide))
+    replace_modules(net, Guide, ColumnGuide)
 
 
 class MoveAxis(nn.Module):

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-CONVERSION_VERSION = 4
+CONVERSION_VERSION = 5
 """Part of every conversion's key in the cache.
 
 To be raised when the conversion of an unchanged network changes: by `accelerate`'s form for export,

@@ -48,6 +48,17 @@ def halve(views: Tensor) -> Tensor:
     return F.avg_pool2d(views, 2)
 
 
+def fill(views: Tensor) -> Tensor:
+    """Repeat the last row and column of views up to multiples of 32.
+
+    Args:
+        views: (B, 3, H, W), H and W multiples of 16.
+    """
+    height, width = views.shape[-2:]
+    more = F.pad(views, (0, 16, 0, 16), mode="replicate")
+    return more[..., : height + height % 32, : width + width % 32]
+
+
 def scaled_log_probability(scores: Tensor) -> Tensor:
     """Log-softmax of scores (B, D, H, W), mapped from -8 and below .. 0 to 0 .. 1; float32."""
     dtype = torch.promote_types(scores.dtype, torch.float32)

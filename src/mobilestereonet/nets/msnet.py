@@ -20,6 +20,7 @@ from mobilestereonet.nets.coarse_pass import (
     Guide,
     band_start,
     cut_band,
+    fill,
     guidance_from_scores,
     halve,
     spread_band,
@@ -39,6 +40,11 @@ from mobilestereonet.nets.operations import eval_mode
 from mobilestereonet.nets.registry import register_model
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 from mobilestereonet.nets.volume_model import Band, VolumeModel, VolumeOutputs
+
+SMALL_VIEW_PIXELS = 75_000
+"""Views of up to so many pixels go through the features together in eval mode.
+
+Half of their time would go into calling the layers; large ones would leave the cache."""
 
 UNGUIDED_STEPS = 4
 """Every n-th training step runs unguided, so that the network also learns the coarse pass."""
@@ -71,6 +77,8 @@ class MobileStereoNet(Aggregation, VolumeModel):
         if config.coarse_hourglasses:
             self.coarse = EncoderDecoder(config, config.volume_channels, config.coarse_hourglasses)
             initialise(self.coarse)
+            if config.levels > 1:
+                self.coarse.guide = Guide(config.width)
         self._guided = True
 
     @classmethod
@@ -88,14 +96,16 @@ class MobileStereoNet(Aggregation, VolumeModel):
         """
         coarse = {name: value for name, value in state.items() if name.startswith("coarse.")}
         fine = {name: value for name, value in state.items() if name not in coarse}
-        if config.coarse_hourglasses and not coarse:
-            first = _first_hourglasses(fine, config.coarse_hourglasses)
-            parts = ("pre_hourglass.", "hourglasses.", "heads.")
-            coarse = {
-                f"coarse.{name}": value for name, value in first.items() if name.startswith(parts)
-            }
-        kept = coarse if config.coarse_hourglasses else {}
-        return _first_hourglasses(fine, config.hourglasses) | kept
+        if not config.coarse_hourglasses:
+            return _first_hourglasses(fine, config.hourglasses)
+        first = _first_hourglasses(fine, config.coarse_hourglasses)
+        parts = ("pre_hourglass.", "hourglasses.", "heads.", "guide.")
+        # What was not trained apart starts as the fine one.
+        copied = {name: value for name, value in first.items() if name.startswith(parts)}
+        coarse = {f"coarse.{name}": value for name, value in copied.items()} | coarse
+        if config.levels < 2:
+            coarse.pop("coarse.guide.weight", None)
+        return _first_hourglasses(fine, config.hourglasses) | coarse
 
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
         """Cost volume and scores, see `VolumeModel`."""
@@ -105,14 +115,15 @@ class MobileStereoNet(Aggregation, VolumeModel):
         guidance = start = None
         if coarse:
             guidance = guidance_from_scores(coarse[-1].detach())
-        elif self.config.coarse_pass:  # unguided: zeros, so that ``guide`` has a gradient
-            batch, _, height, width = left.shape
-            guidance = left.new_zeros(batch, planes, height // 4, width // 4)
+        elif self.config.coarse_pass:
+            guidance = _no_guidance(left, planes)
         if band and guidance is not None:
             start = band_start(coarse[-1].detach(), band)
             guidance = cut_band(guidance, start, band)
         volume = self.cost_volume(left, right, planes if start is None else band, start)
-        scores = self.aggregate(volume.flatten(1, 2) if self.config.dims == 2 else volume, guidance)
+        if self.config.dims == 2:
+            volume = volume.flatten(1, 2)
+        scores = self.aggregate(volume, guidance)
         outputs = VolumeOutputs(scores, volume, self.regression)
         if start is not None:
             outputs.scores = [spread_band(each, start, planes) for each in scores]
@@ -141,6 +152,8 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
     def view_features(self, left: Tensor, right: Tensor) -> Sequence[Tensor]:
         """Features of both views, (B, C, H / 4, W / 4) each, as the cost volume takes them."""
+        if not self.training and left.shape[-2:].numel() <= SMALL_VIEW_PIXELS:
+            return cast(Tensor, self.reduction(self.features(torch.cat((left, right))))).chunk(2)
         return [self.reduction(self.features(view)) for view in (left, right)]
 
     @property
@@ -149,7 +162,7 @@ class MobileStereoNet(Aggregation, VolumeModel):
         return self.coarse if self.config.coarse_hourglasses else self
 
     def coarse_scores(self, left: Tensor, right: Tensor) -> list[Tensor]:
-        """What the coarse pass says (see `nets.coarse_pass`).
+        """What the coarse pass at half of the size says (see `nets.coarse_pass`).
 
         With weights of its own it learns in the same steps as the fine pass. With those of the
         fine pass it is in eval mode, and has no gradient; unguided steps teach it.
@@ -160,19 +173,37 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
         Returns:
             Scores (B, D / 2, H / 8, W / 8): of all heads where it learns, else the last one's
-            alone; none in unguided training steps, and from a network without a coarse pass.
+            alone; none in unguided training steps that it does not learn in, and from a network
+            without a coarse pass.
         """
-        if not self.config.coarse_pass or (self.training and not self._guided):
-            return []
-        size = (halve(left), halve(right), self.config.planes // 2)
+        views, planes, levels = (left, right), self.config.planes // 2, self.config.levels
         if self.config.coarse_hourglasses:
-            return self.coarse.aggregate(self.cost_volume(*size))
+            return self._coarse_scores(*views, planes, levels)
+        if not levels or (self.training and not self._guided):
+            return []
         with torch.no_grad(), eval_mode(self):
-            return self.aggregate(self.cost_volume(*size))
+            return self._coarse_scores(*views, planes, levels)
+
+    def _coarse_scores(self, left: Tensor, right: Tensor, planes: int, levels: int) -> list[Tensor]:
+        """Scores of the pass at half of the size of these views, guided by the coarser ones."""
+        left, right, guidance = halve(left), halve(right), None
+        if levels > 1 and self.training and not self._guided:
+            guidance = _no_guidance(left, planes)
+        elif levels > 1:
+            with torch.no_grad(), eval_mode(self):
+                filled = fill(left), fill(right)
+                coarser = self._coarse_scores(*filled, planes // 2, levels - 1)[-1]
+            height, width = left.shape[-2] // 4, left.shape[-1] // 4
+            guidance = guidance_from_scores(coarser)[..., :height, :width]
+        return self.coarse_part.aggregate(self.cost_volume(left, right, planes), guidance)
 
     def set_step(self, step: int) -> None:
-        """Every fourth training step is without guidance, where both passes share weights."""
-        self._guided = step % UNGUIDED_STEPS != 0 or self.config.coarse_hourglasses > 0
+        """Every fourth training step is without guidance for a pass that others share or follow.
+
+        Where both passes share weights that is the fine one; a coarse one with weights of its own
+        learns to do without the still coarser ones.
+        """
+        self._guided = step % UNGUIDED_STEPS != 0
 
     def zero_residuals(self) -> None:
         """Start every residual branch at zero: the last batch norm's scale in each.
@@ -185,6 +216,12 @@ class MobileStereoNet(Aggregation, VolumeModel):
                 nn.init.zeros_(cast(nn.BatchNorm2d, module.conv2[-1]).weight)
             elif isinstance(module, V2Block) and module.skip:
                 nn.init.zeros_(cast(nn.BatchNorm2d, module.conv[-1]).weight)
+
+
+def _no_guidance(views: Tensor, planes: int) -> Tensor:
+    """Guidance that says nothing, in training, where every weight is to have a gradient."""
+    batch, _, height, width = views.shape
+    return views.new_zeros(batch, planes, height // 4, width // 4)
 
 
 def _first_hourglasses(state: dict[str, Tensor], count: int) -> dict[str, Tensor]:
@@ -202,7 +239,7 @@ MSNET2D = NetConfig(dims=2)
 MSNET3D = NetConfig(
     dims=3, channel_reduction=False, cost_volume="groupwise", width=32, v2_relu=False
 )
-CASCADE3D = replace(MSNET3D, coarse_pass=True, coarse_hourglasses=1, band=16)
+CASCADE3D = replace(MSNET3D, coarse_pass=True, coarse_levels=2, coarse_hourglasses=1, band=16)
 
 # The baselines have standard convolutions and one hourglass (3D: GwcNet-g with one hourglass; 2D:
 # width 48, as the printed counts say); v2 blocks that the ablations put into them have t = 2.

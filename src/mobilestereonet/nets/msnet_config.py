@@ -19,7 +19,7 @@ FEATURE_CHANNELS = 320
 class NetConfig:
     """A network of the family, such as one row of the paper's tables.
 
-    Every field but ``coarse_pass``, which is for 3D networks, means the same in 2D and 3D.
+    Every field but those of the coarse pass, which is for 3D networks, means the same in 2D and 3D.
 
     Attributes:
         dims: 2 or 3, the dimensions of the encoder-decoder's convolutions.
@@ -48,6 +48,9 @@ class NetConfig:
             sharp edges (see `nets.soft_argmax`). In training every head takes the mean.
         coarse_pass: A first pass at half of the size guides the second (see `nets.coarse_pass`):
             for large surfaces without texture. Not in the paper; 3D alone.
+        coarse_levels: Coarse passes: 1 at a half of the size, 2 at a half and at a quarter, and so
+            on; each guides the next finer one. Where the planes cannot be halved so often there
+            are fewer, see `levels`.
         coarse_hourglasses: Hourglasses of an encoder-decoder of the first pass alone; 0: it has
             the weights of the second one.
         band: Planes that the second pass searches around each pixel's answer of the first, a
@@ -73,6 +76,7 @@ class NetConfig:
     v2_relu: bool = True
     estimator: Estimator = "mean"
     coarse_pass: bool = False
+    coarse_levels: int = 1
     coarse_hourglasses: int = 0
     band: int = 0
 
@@ -80,6 +84,7 @@ class NetConfig:
         "max_disparity",
         "estimator",
         "coarse_pass",
+        "coarse_levels",
         "coarse_hourglasses",
         "band",
     )
@@ -101,7 +106,7 @@ class NetConfig:
                 listed = ", ".join(map(str, allowed))
                 raise InputError(f"{name} must be one of {listed}, got {value!r}")
         positive = ("groups", "hourglasses", "width", "first_expansion", "features_expansion")
-        for name in (*positive, "pre_expansion", "hourglass_expansion"):
+        for name in (*positive, "pre_expansion", "hourglass_expansion", "coarse_levels"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.max_disparity % 16 or not 32 <= self.max_disparity <= 512:
@@ -145,6 +150,17 @@ class NetConfig:
     def planes(self) -> int:
         """Disparities of the cost volume, at a quarter of the resolution."""
         return self.max_disparity // 4
+
+    @property
+    def levels(self) -> int:
+        """Coarse passes: at most ``coarse_levels``, each with a multiple of 4 planes.
+
+        The hourglasses halve the planes twice.
+        """
+        if not self.coarse_pass:
+            return 0
+        possible = range(1, self.coarse_levels + 1)
+        return max(level for level in possible if self.planes % (4 << level) == 0)
 
     @property
     def band_planes(self) -> int:
