@@ -1,6 +1,6 @@
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import pytest
 import torch
@@ -478,7 +478,15 @@ def test_the_coarse_pass_of_a_cascade_starts_as_the_fine_one():
     assert cascade.coarse.hourglasses[0].up6[0].weight.equal(whole.hourglasses[0].up6[0].weight)
     assert len(cascade.coarse_scores(*views)) == 1
     # Trained weights stay as they are.
-    assert cascade.state_of_config(cascade.config, state).keys() == state.keys()
+    state["coarse.guide.weight"] = torch.ones_like(state["guide.weight"])
+    kept = cascade.state_of_config(cascade.config, state)
+    assert kept.keys() == state.keys() and kept["coarse.guide.weight"].eq(1).all()
+    # A range that leaves room for one coarse pass alone, and weights that had but one.
+    narrow = replace(cascade.config, max_disparity=96)
+    assert "coarse.guide.weight" not in cascade.state_of_config(narrow, state)
+    assert "coarse_levels" not in cascade.config_of_state(cascade.config, state)
+    del state["coarse.guide.weight"]
+    assert cascade.config_of_state(cascade.config, state)["coarse_levels"] == 1
     shared = cascade.state_of_config(whole.config, state)
     assert not any(name.startswith("coarse.") for name in shared)
 
@@ -503,7 +511,7 @@ def test_refused_names_and_overrides():
 
 
 TINY = """
-from dataclasses import dataclass
+from dataclasses import fields, replace
 import torch
 from mobilestereonet.nets import Prediction, StereoModel
 

@@ -85,8 +85,11 @@ class MobileStereoNet(Aggregation, VolumeModel):
     def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
         """A guide is that of a coarse pass, which a cascade always has; see `StereoModel`."""
         if config.dims == 3 and "guide.weight" in names:
-            return {"coarse_pass": True}
-        return {} if config.band else {"coarse_pass": False, "coarse_hourglasses": 0, "band": 0}
+            lone = config.coarse_hourglasses and "coarse.guide.weight" not in names
+            return {"coarse_pass": True} | ({"coarse_levels": 1} if lone else {})
+        if config.band:
+            return {}
+        return {"coarse_pass": False, "coarse_levels": 1, "coarse_hourglasses": 0, "band": 0}
 
     @classmethod
     def state_of_config(cls, config: NetConfig, state: dict[str, Tensor]) -> dict[str, Tensor]:
