@@ -1,6 +1,6 @@
 import itertools
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -511,7 +511,7 @@ def test_refused_names_and_overrides():
 
 
 TINY = """
-from dataclasses import fields, replace
+from dataclasses import dataclass
 import torch
 from mobilestereonet.nets import Prediction, StereoModel
 
