@@ -1,6 +1,6 @@
 """What large near surfaces without texture cost: procedural scenes with them and without.
 
-    python benchmarks/textureless.py [ROW ...] [--scenes 16] [--weights FILE ...] [--precision bf16]
+    python benchmarks/textureless.py [ROW ...] [--scenes 16] [--square 60] [--weights FILE ...] [--precision bf16]
 
 A row is one of `accuracy.py`; without rows, its own. Rooms, tables and slanted planes, near; the
 same layouts twice. Beside EPE and D1 the share of pixels whose disparity is less than half of the
@@ -46,7 +46,7 @@ NOISE = 0.008
 """Standard deviation of the sensor's noise in each view, of a full range of 1."""
 
 
-def squares(side: int, count: int) -> Iterator[StereoSample]:
+def squares(side: int, count: int, disparity: int = SQUARE) -> Iterator[StereoSample]:
     """Pairs of 480 x 1024 px with one square each; valid in the square only."""
     height, width = 480, 1024
     top, left = (height - side) // 2, (width - side) // 2
@@ -55,14 +55,14 @@ def squares(side: int, count: int) -> Iterator[StereoSample]:
         wall = np.stack([noise_field(rng, 1152, 1.0)[:height] for _ in range(3)])
         colour = rng.uniform(0.2, 0.8, (3, 1, 1))
         views = wall[..., :width].copy(), wall[..., WALL : WALL + width].copy()
-        for view, shift in zip(views, (0, SQUARE), strict=True):
+        for view, shift in zip(views, (0, disparity), strict=True):
             view[:, top : top + side, left - shift : left - shift + side] = colour
             view += rng.normal(0, NOISE, view.shape)
         valid = torch.zeros(height, width, dtype=torch.bool)
         valid[top : top + side, left : left + side] = True
         yield StereoSample(
             *(torch.from_numpy(view.clip(0, 1)) for view in views),
-            disparity=SQUARE * valid.float(),
+            disparity=disparity * valid.float(),
             valid=valid,
             name=f"{side}-{index}",
         )
@@ -87,6 +87,9 @@ def main() -> None:
     parser.add_argument(
         "--scenes", type=int, default=16, help="scenes of each sort; half as many squares"
     )
+    parser.add_argument(
+        "--square", type=int, default=SQUARE, help=f"disparity of the squares; the wall has {WALL}"
+    )
     parser.add_argument("--weights", type=Path, nargs="*", default=[], help="further weights files")
     parser.add_argument("--precision", default="fp32", help="the networks': fp32, bf16")
     arguments = parser.parse_args()
@@ -95,7 +98,7 @@ def main() -> None:
         "textured": ProceduralScenes(config),
         "textureless": ProceduralScenes(replace(config, textureless=1.0)),
     } | {
-        f"squares of {side} px": list(squares(side, (arguments.scenes + 1) // 2))
+        f"squares of {side} px": list(squares(side, (arguments.scenes + 1) // 2, arguments.square))
         for side in SQUARES
     }
     table = Table("model", "surfaces", "EPE, px", "D1, %", "less than half, %")

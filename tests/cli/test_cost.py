@@ -89,12 +89,16 @@ def test_paper_json(msnet):
 
 
 def test_what_the_embedded_weights_have_besides_is_said(msnet):
-    said = "the embedded weights have coarse_pass=true: --set net.coarse_pass=true counts it\n"
+    options = ("--set", "net.coarse_pass=true", "--set", "net.coarse_levels=2")
+    said = (
+        f"the embedded weights have coarse_pass=true, coarse_levels=2: {' '.join(options)} counts"
+    )
     size = ("--model", "msnet3d", "--height", 32, "--width", 64)
     _, out, _ = msnet("cost", *size)
     assert "msnet3d, two views of 3 x 32 x 64" in out
-    assert out.endswith(said)
-    for arguments in (("--set", "net.coarse_pass=true"), ("--model", "msnet2d"), ("--json",)):
+    assert out.endswith(f"{said} that\n")
+    assert "have coarse_levels=2:" in msnet("cost", *size, *options[:2])[1]
+    for arguments in (options, ("--model", "msnet2d"), ("--json",)):
         assert "embedded" not in msnet("cost", *size, *arguments)[1]
 
 

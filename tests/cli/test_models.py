@@ -43,7 +43,7 @@ def test_a_network_is_described(msnet, name):
         "parameters: 1,855,608",
         "embedded weights: msnet3d.procedural-1",
         "  licence: Apache-2.0",
-        "  config: estimator=mode, coarse_pass=True",
+        "  config: estimator=mode, coarse_pass=True, coarse_levels=2",
         "  000046_10 (KITTI 2015): EPE 0.95 px, D1 2.3 %",
     ):
         assert line in out.splitlines()

@@ -88,11 +88,19 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
         ],
     )
     if model in embedded_models():
-        for field, value in card(model)["config"].items():
-            other = {**checked, field: value}
-            if field not in values and count_costs(model, height, width, other) != parts:
-                text = f"{field}={json.dumps(value)}"
-                print(f"the embedded weights have {text}: --set net.{text} counts it")
+        told = card(model)["config"]
+        other = {name: told[name] for name in told if name not in values}
+        whole = count_costs(model, height, width, checked | other)
+
+        def counts(name: str) -> bool:
+            plain = {**checked, **other, name: getattr(config, name)}
+            return count_costs(model, height, width, plain) != whole
+
+        needed = {name: value for name, value in other.items() if counts(name)}
+        texts = [f"{name}={json.dumps(value)}" for name, value in needed.items()]
+        if texts:
+            options = " ".join(f"--set net.{text}" for text in texts)
+            print(f"the embedded weights have {', '.join(texts)}: {options} counts that")
 
 
 def _print_paper(plot: Path | None, as_json: bool) -> None:
