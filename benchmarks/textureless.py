@@ -1,6 +1,7 @@
 """What large near surfaces without texture cost: procedural scenes with them and without.
 
-    python benchmarks/textureless.py [ROW ...] [--scenes 16] [--square 60] [--weights FILE ...] [--precision bf16]
+    python benchmarks/textureless.py [ROW ...] [--scenes 16] [--square 60] [--weights FILE ...]
+        [--precision bf16]
 
 A row is one of `accuracy.py`; without rows, its own. Rooms, tables and slanted planes, near; the
 same layouts twice. Beside EPE and D1 the share of pixels whose disparity is less than half of the
