@@ -27,7 +27,7 @@ class Quality:
 
 
 QUALITIES = {
-    "fast": Quality("msnet3d-cascade", scale=0.75),
+    "fast": Quality("msnet3d-cascade", {"coarse_levels": 1}, scale=0.75),
     "balanced": Quality("msnet3d-cascade"),
     "best": Quality("msnet3d"),
 }

@@ -27,6 +27,9 @@ from mobilestereonet.weights.checkpoints import strip_prefixes
 from mobilestereonet.weights.files import COUNTER, WeightsFile
 from mobilestereonet.weights.shapes import registered_shapes, shapes
 
+_SEARCH = ("max_disparity", "coarse_levels")
+"""Values of a config with which the fit of the confidence holds whatever they are."""
+
 _RESEMBLANCE = 0.5
 """Share of the tensors that fit, from which on a network is worth naming."""
 
@@ -73,7 +76,8 @@ def build_from(weights: WeightsFile, model: str | None, overrides: dict[str, Any
     _check_values(weights.source, state, own)
     counters = {key: value for key, value in own.items() if key.endswith(COUNTER)}
     net.load_state_dict(counters | state)
-    if replace(config, max_disparity=net.config.max_disparity) == net.config:
+    searched = {name: overrides[name] for name in _SEARCH if name in overrides}
+    if replace(config, **searched) == net.config:
         net.confidence_fit = weights.confidence_fit  # of another estimator it does not hold
     if bare and not overrides:
         _warn_of_defaults(weights.source, net, values)
