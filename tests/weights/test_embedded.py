@@ -129,6 +129,9 @@ def test_every_version_loads_and_has_a_card(name):
 def test_the_chain_of_a_card_leads_to_the_weights(name):
     training = weights.card(name)["training"]
     known = {"fresh", *versions.packaged_versions()}
+    for other in weights.embedded_models():  # stages of other cards, such as "13 of msnet3d"
+        stages = weights.card(other)["training"]["stages"]
+        known |= {f"{stage.get('mean') or stage['run']} of {other}" for stage in stages}
     for stage in training["stages"]:
         parts = stage["of"] if "mean" in stage else {stage["start"]: 1.0}
         if not stage.get("start", "").startswith("msnet"):  # an earlier version of other weights
