@@ -88,7 +88,7 @@ class Case:
             return build_model(self.model, max_disparity=self.max_disparity).eval()
         net = load_model(self.model)
         # As the authors estimate, for the differences; "mode" takes some percent more time.
-        values = {} if net.config.band else {"coarse_pass": False}
+        values = {} if net.config.band else {"coarse_pass": False, "coarse_levels": 1}
         net.config = replace(net.config, estimator="mean", **values)
         net.regression.estimator = "mean"
         return net

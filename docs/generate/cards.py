@@ -158,7 +158,7 @@ def _stages(stages: list[dict[str, Any]]) -> list[str]:
     lines.append("| --- | --- | --- | --- | --- | --- |")
     for stage in stages:
         if "mean" in stage:
-            shares = ", ".join(f"{share:.2f} of {run}" for run, share in stage["of"].items())
+            shares = ", ".join(f"{share:g} of {run}" for run, share in stage["of"].items())
             note = f"; {stage['note']}" if "note" in stage else ""
             lines.append(f"| **{stage['mean']}** | the mean: {shares}{note} | | | | |")
             continue

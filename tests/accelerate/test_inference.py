@@ -1,4 +1,5 @@
 import copy
+import math
 
 import pytest
 import torch
@@ -6,7 +7,11 @@ from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from mobilestereonet.accelerate import accelerate, onednn, rows
-from mobilestereonet.accelerate.export_volumes import guidance_in_four_dimensions
+from mobilestereonet.accelerate.export_volumes import (
+    cut_to,
+    fill_without_sizes,
+    guidance_in_four_dimensions,
+)
 from mobilestereonet.accelerate.fused import fuse_convolutions
 from mobilestereonet.accelerate.inference import (
     columns_first,
@@ -24,7 +29,7 @@ from mobilestereonet.accelerate.soft_argmax import (
 from mobilestereonet.errors import InputError
 from mobilestereonet.nets import build_model, list_models, msnet
 from mobilestereonet.nets.blocks import V2Block
-from mobilestereonet.nets.coarse_pass import guidance_from_scores, spread_band
+from mobilestereonet.nets.coarse_pass import fill, guidance_from_scores, spread_band
 from mobilestereonet.nets.soft_argmax import SoftArgmax
 from mobilestereonet.weights import load_model
 from parity import OUTPUTS, authors_state, largest_error
@@ -90,6 +95,19 @@ def test_every_step_keeps_the_result(name, fields, monkeypatch):
             if name in ("msnet2d", "msnet3d") or step is STEPS[-1]:
                 torch.testing.assert_close(net(left, right), expected, rtol=0, atol=1e-6)
     assert not any(isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d) for module in net.modules())
+
+
+def test_small_views_go_through_the_features_together(monkeypatch):
+    net, left, right = network("msnet2d")
+    net, left, right = net.double(), left.double(), right.double()
+    fast = accelerate(net, "inference")
+    batches = []
+    fast.features.register_forward_hook(lambda _, inputs, __: batches.append(len(inputs[0])))
+    with torch.inference_mode():
+        together = fast(left, right).disparity
+        monkeypatch.setattr(msnet, "SMALL_VIEW_PIXELS", 1)
+        torch.testing.assert_close(fast(left, right).disparity, together, rtol=0, atol=1e-9)
+    assert batches == [2 * len(left), len(left), len(left)]
 
 
 @pytest.mark.parametrize("name", ["msnet2d", "msnet3d"])
@@ -219,6 +237,15 @@ def test_guidance_in_four_dimensions():
     scores = 4 * torch.randn(2, 6, 3, 5, dtype=torch.float64)
     found, expected = guidance_in_four_dimensions(scores), guidance_from_scores(scores)
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [(16, 48), (32, 16), (64, 96)])
+def test_views_are_filled_without_their_size(size):
+    views = torch.randn(2, 3, *size, dtype=torch.float64)
+    filled = fill(views)
+    assert filled.shape[2:] == tuple(32 * math.ceil(side / 32) for side in size)
+    assert fill_without_sizes(views).equal(filled)
+    assert cut_to(filled, views).equal(views)
 
 
 def test_unknown_purposes():

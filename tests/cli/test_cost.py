@@ -89,17 +89,19 @@ def test_paper_json(msnet):
 
 
 def test_what_the_embedded_weights_have_besides_is_said(msnet):
-    options = ("--set", "net.coarse_pass=true", "--set", "net.coarse_levels=2")
-    said = (
-        f"the embedded weights have coarse_pass=true, coarse_levels=2: {' '.join(options)} counts"
-    )
+    texts = ['estimator="mode"', "coarse_pass=true", "coarse_levels=2"]
+    options = [f"--set net.{text}" for text in texts]
+    said = f"the embedded weights have {', '.join(texts)}: add {' '.join(options)} to count that\n"
     size = ("--model", "msnet3d", "--height", 32, "--width", 64)
     _, out, _ = msnet("cost", *size)
     assert "msnet3d, two views of 3 x 32 x 64" in out
-    assert out.endswith(f"{said} that\n")
-    assert "have coarse_levels=2:" in msnet("cost", *size, *options[:2])[1]
-    for arguments in (options, ("--model", "msnet2d"), ("--json",)):
-        assert "embedded" not in msnet("cost", *size, *arguments)[1]
+    assert out.endswith(said)
+    first, second = (("--set", f"net.{text}") for text in texts[1:])
+    assert "coarse_levels=2: add" in msnet("cost", *size, *first)[1]
+    # With all of them, or without weights like that; the last size is none for two passes.
+    for arguments in ((*first, *second), ("--model", "msnet2d"), ("--json",), ("--height", 48)):
+        code, out, _ = msnet("cost", *size, *arguments)
+        assert code == 0 and "embedded" not in out
 
 
 def test_tables(msnet, tmp_path):

@@ -275,6 +275,7 @@ CASCADE = {
         ({"coarse_pass": True}, "coarse_pass needs dims=3 .* got dims=2"),
         ({"dims": 3, "coarse_pass": True, "max_disparity": 48}, "multiple of 32, got .* 48"),
         ({"coarse_levels": 0}, "coarse_levels must be at least 1, got 0"),
+        ({"dims": 3, "coarse_levels": 2}, "coarse_levels=2 needs coarse_pass=true"),
         ({"dims": 3, "band": 16}, "band must be 0.* got 16 with interlaced-4 and 0"),
         ({**CASCADE, "band": 12}, "got 12 with correlation and 1"),
         ({**CASCADE, "coarse_hourglasses": 0}, "got 16 with correlation and 0"),
@@ -359,7 +360,7 @@ def test_each_coarse_pass_guides_the_next_finer_one():
 def test_planes_limit_the_coarse_passes(disparities, levels):
     config = NetConfig(dims=3, coarse_pass=True, coarse_levels=3, max_disparity=disparities)
     assert config.levels == levels
-    assert NetConfig(dims=3, coarse_levels=3).levels == 0
+    assert NetConfig(dims=3).levels == 0
 
 
 def test_a_coarse_pass_with_weights_of_its_own_learns_with_coarser_ones_and_without():
@@ -485,6 +486,9 @@ def test_the_coarse_pass_of_a_cascade_starts_as_the_fine_one():
     narrow = replace(cascade.config, max_disparity=96)
     assert "coarse.guide.weight" not in cascade.state_of_config(narrow, state)
     assert "coarse_levels" not in cascade.config_of_state(cascade.config, state)
+    deeper = replace(cascade.config, coarse_hourglasses=2)  # it was trained with one
+    names = cascade.state_of_config(deeper, state)
+    assert not any(name.startswith("coarse.hourglasses.1") for name in names)
     del state["coarse.guide.weight"]
     assert cascade.config_of_state(cascade.config, state)["coarse_levels"] == 1
     shared = cascade.state_of_config(whole.config, state)

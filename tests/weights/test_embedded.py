@@ -88,6 +88,8 @@ def test_embedded_weights_are_checked_against_the_model_and_take_other_values():
         load_model("msnet2d", model="msnet3d")
     assert load_model("msnet2d", model="msnet2d", estimator="mean").config.estimator == "mean"
     with pytest.raises(InputError, match=r"guide.weight is unknown, with coarse_pass=False: leave"):
+        load_model("msnet3d", coarse_pass=False, coarse_levels=1)
+    with pytest.raises(InputError, match="coarse_levels=2 needs coarse_pass=true"):
         load_model("msnet3d", coarse_pass=False)
     with pytest.raises(InputError, match=r"no value 'estimate'|'estimate'"):
         load_model("msnet2d", estimate="mean")
@@ -125,10 +127,19 @@ def test_every_version_loads_and_has_a_card(name):
             assert 0 < row["d1_percent"] < 100
 
 
+def test_the_fit_of_the_confidence_holds_for_another_search():
+    name = "msnet3d-cascade"
+    fit = load_model(name).confidence_fit
+    for search in ({"coarse_levels": 1}, {"max_disparity": 96}):
+        assert load_model(name, **search).confidence_fit == fit
+    for other in ({"band": 24}, {"estimator": "mean"}):
+        assert load_model(name, **other).confidence_fit is None
+
+
 @pytest.mark.parametrize("name", weights.embedded_models())
 def test_the_chain_of_a_card_leads_to_the_weights(name):
     training = weights.card(name)["training"]
-    known = {"fresh", *versions.packaged_versions()}
+    known = {"fresh", *versions.packaged_versions()} - {f"{name}.procedural-1"}
     for other in weights.embedded_models():  # stages of other cards, such as "13 of msnet3d"
         stages = weights.card(other)["training"]["stages"]
         known |= {f"{stage.get('mean') or stage['run']} of {other}" for stage in stages}

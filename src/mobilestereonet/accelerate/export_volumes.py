@@ -32,7 +32,8 @@ def fill_without_sizes(views: Tensor) -> Tensor:
     """As `nets.coarse_pass.fill`, with the new size computed from the values of the views."""
     for axis in (2, 3):
         place = places(views, axis)
-        # A place for each block of 32, the last of which may be half empty, then 32 of them.
+        # One value for each block of 32 rows or columns, the last of which may have 16, and 32 of
+        # each value: as long as the filled axis.
         blocks = F.max_pool1d(F.pad(place, (0, 16))[None, None], 32)
         filled = places(F.interpolate(blocks, scale_factor=32.0), 2)
         views = views.index_select(axis, torch.minimum(filled, place[-1]).long())

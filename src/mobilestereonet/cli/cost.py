@@ -90,17 +90,14 @@ def _print_model(model: str, settings: list[str], height: int, width: int, as_js
     if model in embedded_models():
         told = card(model)["config"]
         other = {name: told[name] for name in told if name not in values}
-        whole = count_costs(model, height, width, checked | other)
-
-        def counts(name: str) -> bool:
-            plain = {**checked, **other, name: getattr(config, name)}
-            return count_costs(model, height, width, plain) != whole
-
-        needed = {name: value for name, value in other.items() if counts(name)}
-        texts = [f"{name}={json.dumps(value)}" for name, value in needed.items()]
-        if texts:
+        try:
+            differ = count_costs(model, height, width, checked | other) != parts
+        except InputError:  # a size or range that the embedded weights' network does not take
+            differ = False
+        if differ:
+            texts = [f"{name}={json.dumps(value)}" for name, value in other.items()]
             options = " ".join(f"--set net.{text}" for text in texts)
-            print(f"the embedded weights have {', '.join(texts)}: {options} counts that")
+            print(f"the embedded weights have {', '.join(texts)}: add {options} to count that")
 
 
 def _print_paper(plot: Path | None, as_json: bool) -> None:

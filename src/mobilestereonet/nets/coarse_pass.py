@@ -1,4 +1,4 @@
-"""A half-resolution pass guides the full-resolution pass (not in the paper).
+"""Passes at a half and a quarter of the resolution guide the full one (not in the paper).
 
 A network's receptive field does not grow with the image. Inside a large surface without texture it
 must guess; at half resolution the surface's borders are twice as near.

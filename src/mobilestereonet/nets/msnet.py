@@ -44,10 +44,13 @@ from mobilestereonet.nets.volume_model import Band, VolumeModel, VolumeOutputs
 SMALL_VIEW_PIXELS = 75_000
 """Views of up to so many pixels go through the features together in eval mode.
 
-Half of their time would go into calling the layers; large ones would leave the cache."""
+One after the other, half of their time would go into calling the layers."""
 
 UNGUIDED_STEPS = 4
 """Every n-th training step runs unguided, so that the network also learns the coarse pass."""
+
+
+_COARSE_GUIDE = "coarse.guide.weight"
 
 
 class MobileStereoNet(Aggregation, VolumeModel):
@@ -85,7 +88,7 @@ class MobileStereoNet(Aggregation, VolumeModel):
     def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
         """A guide is that of a coarse pass, which a cascade always has; see `StereoModel`."""
         if config.dims == 3 and "guide.weight" in names:
-            lone = config.coarse_hourglasses and "coarse.guide.weight" not in names
+            lone = config.coarse_hourglasses and _COARSE_GUIDE not in names
             return {"coarse_pass": True} | ({"coarse_levels": 1} if lone else {})
         if config.band:
             return {}
@@ -101,13 +104,15 @@ class MobileStereoNet(Aggregation, VolumeModel):
         fine = {name: value for name, value in state.items() if name not in coarse}
         if not config.coarse_hourglasses:
             return _first_hourglasses(fine, config.hourglasses)
-        first = _first_hourglasses(fine, config.coarse_hourglasses)
-        parts = ("pre_hourglass.", "hourglasses.", "heads.", "guide.")
-        # What was not trained apart starts as the fine one.
-        copied = {name: value for name, value in first.items() if name.startswith(parts)}
-        coarse = {f"coarse.{name}": value for name, value in copied.items()} | coarse
-        if config.levels < 2:
-            coarse.pop("coarse.guide.weight", None)
+        if not coarse:
+            first = _first_hourglasses(fine, config.coarse_hourglasses)
+            parts = ("pre_hourglass.", "hourglasses.", "heads.")
+            coarse = {
+                f"coarse.{name}": value for name, value in first.items() if name.startswith(parts)
+            }
+        guide = coarse.pop(_COARSE_GUIDE, fine.get("guide.weight"))
+        if config.levels > 1 and guide is not None:
+            coarse[_COARSE_GUIDE] = guide
         return _first_hourglasses(fine, config.hourglasses) | coarse
 
     def outputs(self, left: Tensor, right: Tensor) -> VolumeOutputs:
@@ -176,8 +181,8 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
         Returns:
             Scores (B, D / 2, H / 8, W / 8): of all heads where it learns, else the last one's
-            alone; none in unguided training steps that it does not learn in, and from a network
-            without a coarse pass.
+            alone. An empty list from a network without a coarse pass, and in unguided training
+            steps of one whose passes share weights.
         """
         views, planes, levels = (left, right), self.config.planes // 2, self.config.levels
         if self.config.coarse_hourglasses:
@@ -201,10 +206,9 @@ class MobileStereoNet(Aggregation, VolumeModel):
         return self.coarse_part.aggregate(self.cost_volume(left, right, planes), guidance)
 
     def set_step(self, step: int) -> None:
-        """Every fourth training step is without guidance for a pass that others share or follow.
+        """Every fourth training step is unguided, so that what guides learns without guidance.
 
-        Where both passes share weights that is the fine one; a coarse one with weights of its own
-        learns to do without the still coarser ones.
+        Unguided is the fine pass where all passes share weights, else the pass at half of the size.
         """
         self._guided = step % UNGUIDED_STEPS != 0
 

@@ -118,6 +118,11 @@ class NetConfig:
                 "coarse_pass needs dims=3 and max_disparity a multiple of 32, "
                 f"got dims={self.dims} and {self.max_disparity}"
             )
+        if self.coarse_levels > 1 and not self.coarse_pass:
+            raise InputError(
+                f"coarse_levels={self.coarse_levels} needs coarse_pass=true; without a coarse pass "
+                "it is 1"
+            )
         if self.coarse_hourglasses < 0 or (self.coarse_hourglasses and not self.coarse_pass):
             raise InputError(
                 "coarse_hourglasses must be 0, or at least 1 in a network with coarse_pass, "

@@ -28,7 +28,7 @@ from mobilestereonet.weights.files import COUNTER, WeightsFile
 from mobilestereonet.weights.shapes import registered_shapes, shapes
 
 _SEARCH = ("max_disparity", "coarse_levels")
-"""Values of a config with which the fit of the confidence holds whatever they are."""
+"""Values of a config that may be overridden without losing the fit of the confidence."""
 
 _RESEMBLANCE = 0.5
 """Share of the tensors that fit, from which on a network is worth naming."""

@@ -1,7 +1,7 @@
 """Seconds of the quality levels against `msnet2d`'s, in turns in one process, not refined.
 
-    python benchmarks/levels.py [--sizes 256x512 384x1248] [--precisions bf16 fp32] [--rounds 9]
-        [--accuracy FILE --output docs/figures/levels.json]
+    python benchmarks/level_times.py [--sizes 256x512 384x1248] [--precisions bf16 fp32]
+        [--rounds 9] [--accuracy FILE --output docs/figures/levels.json]
 
 On scikit-image's Motorcycle pair, resized. Every round runs each of them once; the ratios are the
 medians of those within a round, so that a load on the machine meets both alike. With the CSV that
@@ -71,6 +71,8 @@ def median_d1(path: Path, row: str) -> float:
             for record in csv.DictReader(file)
             if record["model"] == row and record["data"] not in SYNTHETIC
         ]
+    if not errors:
+        raise SystemExit(f"{path}: no real pair of the row {row}: run accuracy.py with it")
     return round(statistics.median(errors), 2)
 
 
@@ -107,7 +109,7 @@ def main() -> None:
         found["height"], found["width"] = map(int, arguments.sizes[-1].split("x"))
         for level in found["levels"]:
             name = level["quality"]
-            level["seconds"] = {key: round(value, 2) for key, value in seconds[name].items()}
+            level["seconds"] |= {key: round(value, 2) for key, value in seconds[name].items()}
             level["d1_percent"] = median_d1(arguments.accuracy, f"quality={name}")
         found["sgbm"] = {
             "seconds": round(seconds[SGBM][arguments.precisions[0]], 2),
