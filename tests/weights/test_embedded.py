@@ -87,7 +87,9 @@ def test_embedded_weights_are_checked_against_the_model_and_take_other_values():
     with pytest.raises(InputError, match=r"msnet2d: holds msnet2d, not msnet3d"):
         load_model("msnet2d", model="msnet3d")
     assert load_model("msnet2d", model="msnet2d", estimator="mean").config.estimator == "mean"
-    with pytest.raises(InputError, match=r"guide.weight is unknown, with coarse_pass=False: leave"):
+    with pytest.raises(
+        InputError, match=r"guide.weight is unknown, with coarse_pass=False, coarse_levels=1: "
+    ):
         load_model("msnet3d", coarse_pass=False, coarse_levels=1)
     with pytest.raises(InputError, match="coarse_levels=2 needs coarse_pass=true"):
         load_model("msnet3d", coarse_pass=False)
