@@ -86,7 +86,10 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
     @classmethod
     def config_of_state(cls, config: NetConfig, names: Container[str]) -> dict[str, Any]:
-        """A guide is that of a coarse pass, which a cascade always has; see `StereoModel`."""
+        """A guide is that of a coarse pass, which a cascade always has; see `StereoModel`.
+
+        A cascade's coarse pass that has a guide of its own is guided by a coarser one.
+        """
         if config.dims == 3 and "guide.weight" in names:
             lone = config.coarse_hourglasses and _COARSE_GUIDE not in names
             return {"coarse_pass": True} | ({"coarse_levels": 1} if lone else {})
@@ -226,7 +229,7 @@ class MobileStereoNet(Aggregation, VolumeModel):
 
 
 def _no_guidance(views: Tensor, planes: int) -> Tensor:
-    """Guidance that says nothing, in training, where every weight is to have a gradient."""
+    """Zeros as guidance, (B, planes, H / 4, W / 4), so that the guide has a gradient anyhow."""
     batch, _, height, width = views.shape
     return views.new_zeros(batch, planes, height // 4, width // 4)
 
